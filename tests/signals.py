@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband import Record, TrainingSettings
 from splitband.comparison.methods import Sizes, named
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.network import with_defaults
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from torch import Tensor, nn
 
@@ -22,9 +21,8 @@ from splitband.forecasters.loading import load
 from splitband.forecasters.network import Network
 from splitband.forecasters.saving import FILE
 from splitband.models import Model
+from splitband.runtime.arrays import Array
 from tests.signals import Setup
-
-Array = npt.NDArray[np.float64]
 
 
 def simulated(model: Model, y: Array, steps: int, u: Any = None, y_sim: Any = None) -> Array:
@@ -110,7 +108,6 @@ def load_model(folder: Path) -> tuple[Model, dict[str, Any]]:
     """The model of a saved network, and the facts that were saved with it."""
     network, facts = load(folder), json.loads((folder / FILE).read_text())
     assert isinstance(network, Network)
-    assert network.model is not None
     return network.model, facts
 
 

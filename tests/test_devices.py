@@ -31,7 +31,6 @@ def test_a_batch_of_nothing_has_gradients_of_zero(kind: str, nu: int, backend: B
     assert found.shape == (0, 6, 1)
     found.sum().backward()
     for parameter in cell.parameters():
-        assert parameter.grad is not None
         assert not parameter.grad.any()
 
 

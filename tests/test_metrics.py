@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from splitband.metrics import cumulative_rmse, fit_percent, nrmse, rmse, spread
+from splitband.runtime.arrays import Array
 from tests.signals import NAN, error_of
-
-Array = npt.NDArray[Any]
 
 METRICS: list[Callable[..., Any]] = [rmse, cumulative_rmse, nrmse, fit_percent]
 

@@ -38,7 +38,6 @@ def test_a_simulator_whose_lead_is_the_filters_delay_leaves_nothing_to_learn() -
     """L(simulator) is then nearly the record, and H(record) is what an exact network adds to it."""
     for ahead, trap in ((AHEAD, True), (0.0, False)):
         of = record(ahead)
-        assert of.y_sim is not None
         found = oracle(of.y, of.y_sim, 1 / DT, CUTOFF)
         assert found.nothing_to_learn == trap
         high = scipy.signal.lfilter(*scipy.signal.butter(1, CUTOFF, "high", fs=1 / DT), of.y[:, 0])
@@ -60,7 +59,6 @@ def test_the_commands_warn_of_it(
     trap: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     of = record(AHEAD if trap else 0.0)
-    assert of.y_sim is not None
     for name, values in (("r", of.y), ("simulated", of.y_sim)):
         table = pd.DataFrame({"time": TIME, "y": values[:, 0]})
         table.to_csv(tmp_path / f"{name}.csv", index=False)

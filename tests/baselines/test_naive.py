@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -14,8 +13,8 @@ from splitband.baselines.sinusoids import SinusoidRegression, harmonic
 from splitband.forecasters.baselines import ByTime, Persistence
 from splitband.forecasters.prediction import ForecastContext
 from splitband.records.named import double_mass_spring
+from splitband.runtime.arrays import Array
 
-Array = npt.NDArray[Any]
 FITS: list[Callable[[Array], ByTime]] = [LastPeriod.fit, periodic, harmonic]
 
 SHAPES = ["sine", "overtones", "sawtooth", "square", "random"]

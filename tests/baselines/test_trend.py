@@ -1,18 +1,16 @@
 """Trends, and frequencies of less than a cycle, of which the truth or SciPy's fit is known."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
 from splitband.baselines.sinusoids import MAX_FIT_SAMPLES, Sinusoids, harmonic, trend
 from splitband.forecasters.baselines import ByTime
+from splitband.runtime.arrays import Array
 from tests.baselines.test_naive import FITS, one_period, repeated
 
-Array = npt.NDArray[Any]
 """A last measured sample that none of these may look at."""
 TRAINING, SAMPLES = 400, 1000
 N = np.arange(SAMPLES)

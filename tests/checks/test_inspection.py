@@ -147,7 +147,7 @@ def test_inputs_that_are_given_stay_and_a_set_point_is_held() -> None:
     with pytest.warns(ReadingWarning, match="column 'goal' has a value in 30 of 3000 rows"):
         found = inspected(goal=logged, p=y)
     assert found.record.inputs == ("goal",)
-    np.testing.assert_array_equal(found.record.u[:, 0], target)  # type: ignore[index]
+    np.testing.assert_array_equal(found.record.u[:, 0], target)
     given = sb.Record(target, 0.1, u=y, columns=("goal",), inputs=("p",))
     assert sb.inspect(given).record.inputs == ("p",)
 

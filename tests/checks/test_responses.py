@@ -42,7 +42,6 @@ def test_a_saved_model_responds_at_the_mean_of_its_training_inputs(
     linear: sb.Linear, tmp_path: Path
 ) -> None:
     record = linear.require_fitted().record
-    assert record.u is not None
     linear.save(tmp_path)
     loaded = sb.load(tmp_path)
     assert len(loaded.require_fitted().record) < len(record)
@@ -119,7 +118,6 @@ class Swinging(sb.Forecaster):
     A = np.poly([0.99 * np.exp(0.3j), 0.99 * np.exp(-0.3j)]).real
 
     def extrapolate(self, known: ForecastContext) -> Any:
-        assert known.u is not None
         return scipy.signal.lfilter([0.0, 0.1], self.A, known.u[:, :1], axis=0)[len(known.y) :]
 
 
@@ -149,7 +147,6 @@ class Rooted(sb.Forecaster):
     needs = frozenset({"inputs"})
 
     def extrapolate(self, known: ForecastContext) -> Any:
-        assert known.u is not None
         u = known.u[len(known.y) :, 1:]
         return np.where(u < 1, np.nan, u)
 
@@ -161,7 +158,6 @@ class Squared(sb.Forecaster):
     needs = frozenset({"inputs"})
 
     def extrapolate(self, known: ForecastContext) -> Any:
-        assert known.u is not None
         return known.u[len(known.y) :] ** 2
 
 

@@ -132,7 +132,7 @@ def test_what_was_left_behind_goes_on_when_all_seeds_are_done() -> None:
         return 1.5 * 0.5 ** min(n - 1, 2) if settings_of(job).window == longest else 1.0
 
     Trainer(error).run(search)
-    assert search.trials["gru"][0].fitted.settings.window == longest  # type: ignore[union-attr]
+    assert search.trials["gru"][0].fitted.settings.window == longest
     assert search.converged
 
 

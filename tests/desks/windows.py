@@ -102,7 +102,7 @@ def pretend() -> None:
     builtins.__import__ = imported
     for method in ("replace", "rename", "unlink"):
         setattr(Path, method, _refusing(getattr(Path, method)))
-    sys.modules.update(dict.fromkeys(EXTRAS))  # type: ignore[arg-type]  # None: not installed
+    sys.modules.update(dict.fromkeys(EXTRAS))  # None: not installed
     warnings.filterwarnings("error", category=EncodingWarning, module=r"splitband\.")
 
 

@@ -117,8 +117,6 @@ def test_the_equation_of_a_grey_box_is_part_of_it(hybrid: bool) -> None:
 
 def test_a_file_is_read_by_casadi(tmp_path: Path) -> None:
     forecaster, record = fitted("filtered")
-    assert record.u is not None
-    assert record.y_sim is not None
     path, begin = forecaster.export(tmp_path / "rig.casadi")
     loaded = casadi.Function.load(str(path))
     assert loaded.name_in() == ["state", "u", "y_sim"]
@@ -132,7 +130,6 @@ def test_a_file_is_read_by_casadi(tmp_path: Path) -> None:
 
 def test_the_slope_of_a_simulator_needs_its_next_sample() -> None:
     forecaster, record = fitted("filtered, no inputs")
-    assert record.y_sim is not None
     with pytest.raises(ValueError, match="the simulator's output of the sample after its end"):
         sb.casadi_step(forecaster)
     history = replace(record[:150], y_sim=record.y_sim[:160])

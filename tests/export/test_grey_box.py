@@ -7,17 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
 import splitband as sb
+from splitband.runtime.arrays import Array
 from splitband.simulators.fixed_steps import FixedSteps
 from tests.export.test_c import Compiled
 from tests.export.test_fmu import Instance
 from tests.export.test_onnx import session
 
-Array = npt.NDArray[np.float64]
 EXACT = 1e-11, 1e-13
 """Tolerances of a solver that is as exact as a program."""
 

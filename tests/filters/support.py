@@ -1,16 +1,12 @@
 """What SciPy says of a filter, and signals for it."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import scipy.signal
 import torch
 from torch import Tensor
 
 from splitband.filters import Start
-
-Array = npt.NDArray[Any]
+from splitband.runtime.arrays import Array
 
 RATE = 10.0
 CUTOFF = 1.3

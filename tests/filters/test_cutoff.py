@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,8 +20,8 @@ from splitband.filters.cutoff import (
 )
 from splitband.filters.resampling import check_downsampling
 from splitband.filters.spectrum import periodogram
+from splitband.runtime.arrays import Array
 
-Array = npt.NDArray[Any]
 RATE, SAMPLES, WARMUP = 10.0, 600, 50
 TIME = np.arange(SAMPLES) / RATE
 

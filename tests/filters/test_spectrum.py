@@ -1,14 +1,10 @@
 """Spectra of signals whose spectrum is known."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from splitband.filters.spectrum import periodogram
-
-Array = npt.NDArray[Any]
+from splitband.runtime.arrays import Array
 
 RATE = 20.0
 SAMPLES = 1000

@@ -5,7 +5,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 import splitband as sb
@@ -14,7 +13,6 @@ from splitband.comparison.methods import QUICK, Sizes
 from tests.signals import Setup
 from tests.support import known_after
 
-Array = npt.NDArray[np.float64]
 DT, TRAIN, LENGTH, WARMUP, STEPS = 0.1, 60, 100, 8, 20
 START = pd.Timestamp("2024-05-01 12:00")
 SETTINGS = TrainingSettings.paper(window=20, warmup=WARMUP, epochs=1, batch_size=32)

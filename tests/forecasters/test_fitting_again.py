@@ -114,7 +114,6 @@ def test_a_base_is_fitted_again_where_its_samples_or_its_options_differ() -> Non
         return one is two
 
     assert taken(network, record)
-    assert record.u is not None
     third_order = sb.Residual(sb.Linear(order=3), sb.GRU(3), settings=SHORT)
     assert not taken(network, rig(6, samples=400))
     assert not taken(network, replace(record, u=-record.u))

@@ -56,13 +56,6 @@ def test_the_slow_component_of_a_hybrid_is_labelled_by_its_base(name: str, slow:
     assert [*fitted(name).predict(STEPS, **ahead()).components] == [slow, f"network{band}"]
 
 
-@pytest.mark.parametrize("name", MADE)
-def test_it_goes_on_from_another_origin(name: str) -> None:
-    at = TRAIN + 7
-    found = fitted(name).predict(STEPS, record()[:at], **ahead(at))
-    assert (found.time == record().stamps[at : at + STEPS]).all()
-
-
 # A linear model's state is estimated from all of the history: see test_histories.
 @pytest.mark.filterwarnings("ignore:harmonic disagrees")  # on the samples beyond its training
 @pytest.mark.parametrize(

@@ -122,7 +122,6 @@ def test_recorded_output_has_to_cover_only_what_a_forecast_uses(
 def test_a_history_with_few_measured_samples_is_said_to_be_short() -> None:
     """Before them nothing was measured, of one channel or of both: the rest is made up."""
     forecaster, record = fitted("gru")
-    assert record.u is not None
     few = np.arange(60)[:, None] >= np.array([55, 55])
     for measured, said in (
         (few, "has 5 of the 20 samples of a warm-up"),

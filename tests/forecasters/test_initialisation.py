@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
@@ -11,7 +10,6 @@ import splitband as sb
 from splitband.forecasters.initialisation import begin_as_linear
 from tests.support import simulated
 
-Array = npt.NDArray[np.float64]
 SAMPLES, TRAINED, AHEAD = 900, 600, 200
 
 
@@ -39,7 +37,6 @@ def test_before_training_it_forecasts_as_the_linear_model_does(
     begin_as_linear(model, [training], True, seed=0)
     history = record[TRAINED : TRAINED + warmup]
     inputs = record.u
-    assert inputs is not None
     coming = inputs[TRAINED + warmup :]
     linear = sb.Linear().fit(training).predict(AHEAD, history, coming, other_record=True)
     found = simulated(model, history.y, AHEAD, inputs[TRAINED : TRAINED + warmup + AHEAD])
@@ -74,6 +71,5 @@ def test_gaps_and_further_records_are_taken_account_of() -> None:
     )
     begin_as_linear(model, [holed, second], True, seed=0)
     inputs = second.u
-    assert inputs is not None
     found = simulated(model, second.y[:10], AHEAD, inputs)
     assert np.std(found - second.truth[10 : 10 + AHEAD]) < 0.05 * y[~np.isnan(y)].std()

@@ -221,7 +221,3 @@ def test_a_model_of_bands_says_its_cut_off_once_it_is_known() -> None:
     model = sb.Filtered(None, sb.GRU(4), sb.Bands(0.15, 1, 1), conditioned=True)
     assert model.in_words() == "simulator below 0.15 Hz, GRU above"
     assert named("residual-gru-calibrated").in_words() == "calibrated simulator + GRU"
-
-
-def test_words_are_short_enough_for_a_legend() -> None:
-    assert max(len(method.in_words()) for method in NAMES.values()) <= 80

@@ -4,14 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
 import splitband as sb
 from splitband.forecasters.prehistory import Prehistory
+from splitband.runtime.arrays import Array
 
-Array = npt.NDArray[np.float64]
 B, A = [0.0, 0.2], [1.0, -1.6, 0.8]
 """A resonance: a deviation of its state from that at rest swings for some forty samples."""
 WARMUP, FEW = 20, 3

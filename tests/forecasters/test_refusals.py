@@ -158,7 +158,6 @@ def two_inputs() -> Record:
 
 def test_inputs_of_another_shape_are_refused() -> None:
     known = two_inputs()
-    assert known.u is not None
     ahead, model = known.u[60:70], sb.Linear().fit(known[:60])
     for wrong in (ahead.T, ahead.ravel(), ahead.reshape(-1, 1)):
         with pytest.raises(ValueError, match=r"u must hold the 10 samples .* in 2 channel\(s\), "):

@@ -25,10 +25,10 @@ from torch import nn
 import splitband as sb
 from splitband.forecasters import saving
 from splitband.forecasters.prediction import ForecastContext
+from splitband.runtime.arrays import Array
 from tests.streams import Leaky
 from tests.support import edit, known_after
 
-Array = npt.NDArray[np.float64]
 DT, STEPS = 0.1, 20
 TIME = DT * np.arange(160)
 RECORD = sb.Record(

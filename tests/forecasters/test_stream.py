@@ -3,15 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
 import splitband as sb
 from splitband.forecasters.prediction import ForecastContext
+from splitband.runtime.arrays import Array
 from tests.streams import BANDS, SHORT, WITH_INPUTS, WITHOUT, driven, fitted, free, rows
-
-Array = npt.NDArray[np.float64]
 
 pytestmark = pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
 
@@ -71,7 +69,6 @@ def test_a_stream_says_what_predict_says(name: str) -> None:
 def test_the_filter_of_a_linear_model_finds_what_predict_estimates(gaps: bool) -> None:
     """In another record, also of a channel that is missing for a while."""
     model, record = fitted("linear")
-    assert record.u is not None
     y = record.y.copy()
     y[180:186, 0] = np.nan if gaps else y[180:186, 0]
     other = replace(record, measured=~np.isnan(y))[160:]
@@ -105,7 +102,6 @@ def test_a_network_warms_up_on_an_output_that_is_seldom_measured() -> None:
 @pytest.mark.parametrize("name", ["gru", "gru, no inputs", "filtered", "filtered, no inputs"])
 def test_a_stream_goes_on_from_a_history_that_ends_in_a_gap(name: str) -> None:
     forecaster, record = fitted(name)
-    assert record.y_sim is not None
     missing = np.arange(190)[:, None] >= 185
     history = replace(record[:190], measured=~np.repeat(missing, record.ny, axis=1))
     longer = replace(history, y_sim=record.y_sim[:191])  # of the slope, which needs the next one
@@ -121,7 +117,6 @@ def test_a_stream_goes_on_from_a_history_that_ends_in_a_gap(name: str) -> None:
 def test_a_linear_model_finds_its_state_in_another_record() -> None:
     """Also where the history is shorter than what an input acts late by, or twice that."""
     record = driven(channels=1)
-    assert record.u is not None
     forecaster = sb.Linear().fit(record[:150])
     assert max(forecaster.delays) == 6
     for samples in (4, 9, 40):

@@ -5,13 +5,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import splitband as sb
+from splitband.runtime.arrays import Array
 from tests.streams import BANDS, SHORT, free, in_double
 
-Array = npt.NDArray[np.float64]
 TRAIN, SEEN, END = 150, 190, 240
 
 pytestmark = [

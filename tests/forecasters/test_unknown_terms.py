@@ -5,13 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import splitband as sb
 from splitband.report import words
 
-Array = npt.NDArray[np.float64]
 FORCE = np.sin(0.04 * np.arange(300.0))
 
 
@@ -40,7 +38,6 @@ def model() -> sb.GreyBox:
     columns, inputs = map(tuple, named)
     record = sb.Record(y, 0.04, u=FORCE, columns=columns, inputs=inputs)
     fitted = sb.GreyBox(ode, starts=1).fit(record[:200])
-    assert fitted.adjusted is not None
     members: Any = tuple(term.trained for term in OTHERS)
     fitted.adjusted = replace(fitted.adjusted, members=members)
     return fitted

@@ -4,14 +4,13 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
 from splitband.kernels.ode import Solver, solver
+from splitband.runtime.arrays import Array
 from splitband.simulators.parameters import parameters_class
 
-Array = npt.NDArray[np.float64]
 TIME: Array = 0.05 * np.arange(200.0)
 P = parameters_class(("k", "c"))(9.0, 0.3)
 INPUT = np.sin(3 * TIME)[:, None]

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 import torch
@@ -12,10 +11,10 @@ import torch
 import splitband as sb
 from splitband.kernels.ode import Solver
 from splitband.kernels.terms import evaluate
+from splitband.runtime.arrays import Array
 from splitband.simulators.parameters import parameters_class
 from splitband.simulators.unknown import packed
 
-Array = npt.NDArray[np.float64]
 KINDS: dict[str, dict[str, Any]] = {
     "plain": {},
     "odd": {"odd": True},

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
@@ -15,8 +14,7 @@ from splitband.checks.responses import respond_over_range
 from splitband.comparison.plan import plan
 from splitband.comparison.request import PlanRequest
 from splitband.linear.identification import identified, unstable
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +144,6 @@ def test_a_stream_of_an_unstable_model_overflows_as_its_prediction(held: sb.Line
 
 def test_a_network_with_fewer_states_than_the_plant_has_poles_begins_with_as_many() -> None:
     record = pendulum(0)
-    assert record.u is not None
     late = sb.Record(record.y[:-5], record.sampling_time, u=record.u[5:])  # a dead time
     assert len(sb.Linear().fit(late).poles()) > 2
     settings = sb.TrainingSettings(100, 50, epochs=1)

@@ -13,9 +13,8 @@ from splitband.baselines.seasonal import LastPeriod, _last_period, periodic
 from splitband.baselines.sinusoids import MAX_FIT_SAMPLES, harmonic, recent
 from splitband.comparison.methods import named
 from splitband.forecasters.baselines import ByTime
+from splitband.runtime.arrays import Array
 from tests.signals import NAN, TRAIN, holed, record, rms, with_gaps
-
-Array = npt.NDArray[np.float64]
 
 
 def sine(samples: int, seed: int = 0) -> tuple[Array, npt.NDArray[np.bool_]]:

@@ -32,10 +32,10 @@ from splitband.linear.refinement import (
 from splitband.linear.subspace import subspace
 from splitband.metrics import fit_percent
 from splitband.records.named import overhead_crane
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, current, within
 from tests.support import known_after
 
-Array = npt.NDArray[np.float64]
 TRAIN, LENGTH = 400, 600
 
 
@@ -164,7 +164,6 @@ def test_two_integrators_are_found_in_a_long_record_where_a_free_fit_misses_both
 def test_a_swinging_load_on_a_trolley_is_an_integrator_and_a_pair_of_poles() -> None:
     """Its inputs wander: a subspace of this order has another pole near 1 in place of the pair."""
     record = overhead_crane()
-    assert record.u is not None
     model = sb.Linear().fit(record[:2000])
     assert (model.model.order, model.model.integrators) == (3, 1)
     ahead = model.predict(2000, u=record.u[2000:]).y
@@ -267,7 +266,6 @@ def test_behind_a_controller_noise_does_not_bias_the_pole() -> None:
 def test_errors_of_a_nonlinear_system_are_not_taken_for_a_controller() -> None:
     """A filter, a diode, a filter: a smooth input can be predicted from its own effect."""
     record, _ = drawn("Wiener-Hammerstein", 126, 1000)
-    assert record.u is not None
     assert identified([(record.y, record.u)]).by == "output error"
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy.signal
 import torch
@@ -20,10 +19,9 @@ from splitband.models import (
     SplitModel,
 )
 from splitband.networks import EulerMLP
+from splitband.runtime.arrays import Array
 from tests.support import Scripted
 from tests.support import simulated as summed
-
-Array = npt.NDArray[np.float64]
 
 WARMUPS, STEPS, NY, NU = (40, 47), 25, 2, 2
 RNG = np.random.default_rng(7)

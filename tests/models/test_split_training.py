@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 import torch
@@ -16,11 +15,11 @@ import splitband as sb
 from splitband.models import SplitModel
 from splitband.models.base import Signals
 from splitband.records import Record
+from splitband.runtime.arrays import Array
 from splitband.training import fit
 from splitband.training.windows import joined, windows, windows_in
 from tests.signals import DT, NAN
 
-Array = npt.NDArray[np.float64]
 WINDOW, R, K, ORDER, CUTOFF = 40, 12, 3, 2, 0.6
 PAIR = sb.ComplementaryPair.butterworth(CUTOFF, 1 / DT, ORDER)
 

@@ -4,15 +4,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from torch import Tensor, nn
 
 from examples.own_cell import LSTM
 from splitband.networks import GRU, Backend, Cell, EulerMLP, StateSpace, free_run, rollout
-
-Array = npt.NDArray[Any]
+from splitband.runtime.arrays import Array
 
 NY, NU, HIDDEN = 2, 3, 5
 BATCH, WARMUP, STEPS = 4, 6, 9
@@ -165,7 +163,6 @@ def test_a_rollout_leaves_nothing_behind_in_the_cell(make: Make) -> None:
 @pytest.mark.parametrize("make", CELLS)
 def test_an_input_acts_from_the_next_sample_on(make: Make) -> None:
     cell, y, u = make(nu=NU), noise(BATCH, WARMUP, NY), inputs(NU)
-    assert u is not None
     before = rollout(cell, y, STEPS, u)
     assert torch.equal(rollout(cell, y, STEPS, u[:, :-1]), before)
     assert torch.equal(rollout(cell, y, STEPS, torch.cat([u, u], dim=1)), before)
@@ -195,7 +192,7 @@ def test_gradients_reach_the_warmup_the_inputs_and_every_parameter(
         return result
 
     arguments: tuple[Tensor | None, ...] = (y, u, *free.parameters())
-    assert torch.autograd.gradcheck(run, arguments, fast_mode=True)  # type: ignore[arg-type]
+    assert torch.autograd.gradcheck(run, arguments, fast_mode=True)
 
 
 class Damped(GRU):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 import torch
@@ -15,8 +14,7 @@ import splitband as sb
 from splitband.models import Recurrent
 from splitband.models.base import with_next_input
 from splitband.networks import Backend, StateSpace, rollout
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.7]])
 B = np.array([[0.1, 0.0], [0.3, -0.2], [0.5, 1.0]])

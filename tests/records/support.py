@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 import scipy.io
@@ -14,9 +13,9 @@ import scipy.io
 from splitband.records import (
     read,
 )
+from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
-Array = npt.NDArray[np.float64]
 STEP = 0.25
 
 RNG = np.random.default_rng(7)

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 
@@ -13,7 +12,6 @@ from splitband.records import Grid, aligned, resampled
 from splitband.records.alignment import reach
 from tests.records.support import SAMPLES, signal, times, write
 
-Array = npt.NDArray[np.float64]
 DT = 0.1
 
 
@@ -165,9 +163,7 @@ def test_a_record_is_resampled_with_all_its_signals() -> None:
     assert (found.start, found.sampling_time) == (20.0, DT)
     assert found.time[-1] <= time[-1] < found.time[-1] + DT
     for values, factor in ((found.y, 1), (found.y_true, 1), (found.y_sim, 2)):
-        assert values is not None
         np.testing.assert_allclose(values[:, 0], factor * signal(found.time), atol=1e-3)
-    assert found.u is not None
     np.testing.assert_allclose(found.u[:, 0], found.time, atol=1e-9)
     lost = found.time[~found.complete]
     assert len(lost) == 2

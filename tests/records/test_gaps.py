@@ -3,14 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from splitband import Record
+from splitband.runtime.arrays import Array
 from tests.signals import (
     DT,
     NAN,
@@ -21,9 +20,6 @@ from tests.signals import (
     with_gaps,
 )
 from tests.support import compare
-
-Array = npt.NDArray[np.float64]
-
 
 gappy = hnp.arrays(
     np.float64,
@@ -62,15 +58,6 @@ def test_a_sample_whose_input_is_not_known_does_not_count_as_measured() -> None:
     np.testing.assert_array_equal(found.u, [[1, 0], [1, 0], [3, 0], [3, 0], [3, 1]])
 
 
-def test_a_command_is_held_through_a_long_gap_and_the_line_says_so() -> None:
-    """As a zero-order hold, with pandas as an oracle."""
-    u = np.array([NAN, 0, 0, NAN, NAN, NAN, NAN, 5, 5, NAN])
-    with pytest.warns(UserWarning, match="6 of 10 samples .rows 0, 3 to 6, 9. and is held"):
-        found = with_gaps(np.ones(10), u=u)
-    assert found.u is not None
-    np.testing.assert_array_equal(found.u[:, 0], pd.Series(u).ffill().bfill())
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -90,9 +77,7 @@ def test_records_without_anything_to_go_by_are_refused(
         make()
 
 
-def test_what_stands_in_for_a_gap_across_the_end_of_a_slice_knows_nothing_of_later_samples() -> (
-    None
-):
+def test_a_filler_across_the_end_of_a_slice_knows_nothing_of_later_samples() -> None:
     y = holed(record().y, slice(TRAIN - 5, TRAIN + 5))
     later = y.copy()
     later[TRAIN + 5 :] += 1000

@@ -51,7 +51,6 @@ def test_public_files_are_the_published_ones(public_data: Path) -> None:
 @pytest.mark.usefixtures("public_data")
 def test_drill_string_simulator_error_is_that_of_the_paper() -> None:
     trajectory = drill_string()
-    assert trajectory.y_sim is not None
     assert len(trajectory) == 4001
     assert trajectory.sampling_rate == 100.0
     assert trajectory.y.mean() == pytest.approx(0, abs=1e-12)

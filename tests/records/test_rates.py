@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 
 import splitband as sb
 from splitband.records.signals import ReadingWarning
+from splitband.runtime.arrays import Array
 
-Array = npt.NDArray[np.float64]
 pytestmark = pytest.mark.filterwarnings("ignore::splitband.records.signals.ReadingWarning")
 STEP, N = 0.1, 2000
 
@@ -39,7 +38,6 @@ def logged(jitter: float, seed: int = 0, n: int = N) -> pd.DataFrame:
 def fit_of(record: sb.Record) -> float:
     """The fit of a linear model on the last quarter, in %."""
     train = 3 * len(record) // 4
-    assert record.u is not None
     model = sb.Linear().fit(record[:train])
     found = model.predict(len(record) - train, u=record.u[train:]).y
     seen = record.complete[train:]
@@ -148,7 +146,6 @@ def test_inputs_are_held_or_interpolated(hold: Any, held: tuple[str, ...]) -> No
     table["v"] = np.sin(0.3 * table["time"])
     record = sb.read(table, inputs=["u", "v"], step=STEP, hold=hold)
     assert record.reading.hold == held
-    assert record.u is not None
     if hold is None:
         np.testing.assert_allclose(record.u[1:-1, 1], np.sin(0.3 * record.time)[1:-1], atol=1e-3)
 

@@ -69,7 +69,6 @@ def test_clocks_go_on_past_midnight_and_in_reverse(
 def test_rows_may_be_newest_first(tmp_path: Path, written: Callable[[int], object]) -> None:
     rows = "".join(f"{written(i)},{i},{-i}\n" for i in range(20, -1, -1))
     found = read(text_file(tmp_path, f"time,u,y\n{rows}"), inputs="u")
-    assert found.u is not None
     np.testing.assert_array_equal(found.u[:, 0], np.arange(21))
     np.testing.assert_array_equal(found.y, -found.u)
     path = text_file(tmp_path, f"time,u,y\n{rows}".replace(",7,-7", ",7,x"))

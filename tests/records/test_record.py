@@ -25,7 +25,6 @@ def test_signals_become_read_only_matrices() -> None:
     assert (trajectory.columns, Record(Y, STEP).columns) == (("y",), ("y0", "y1"))
     assert Record(Y, STEP).nu == 0
     for signal in (trajectory.y, trajectory.u, trajectory.y_sim):
-        assert signal is not None
         assert signal.dtype == np.float64
         with pytest.raises(ValueError, match="read-only"):
             signal[0] = 9.0

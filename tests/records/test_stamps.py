@@ -10,7 +10,7 @@ import pytest
 
 from splitband.records import Record, read
 from splitband.records.signals import Gaps, ReadingWarning
-from tests.records.support import U, iso, message, stamped, text_file
+from tests.records.support import iso, message, stamped, text_file
 
 
 @pytest.mark.parametrize(
@@ -49,18 +49,6 @@ def test_a_channel_is_not_taken_for_the_time(tmp_path: Path, name: str) -> None:
     options: dict[str, Any] = {"columns": ["T"]} if name == "T" else {}  # T may be a temperature
     path = text_file(tmp_path, f"{name}\n3\n1\n2\n")
     assert read(path, sampling_time=1, **options).columns == (name,)
-
-
-@pytest.mark.parametrize(
-    "index",
-    [pd.date_range("2024", periods=40, freq="10ms"), pd.to_timedelta(0.01 * np.arange(40), "s")],
-    ids=["dates", "durations"],
-)
-def test_time_in_the_index_of_a_parquet_file(tmp_path: Path, index: pd.Index) -> None:
-    pd.DataFrame({"y": U}, index=index).to_parquet(tmp_path / "record.parquet")
-    trajectory = read(tmp_path / "record.parquet")
-    assert trajectory.sampling_time == pytest.approx(0.01, rel=1e-12)
-    assert trajectory.columns == ("y",)
 
 
 @pytest.mark.parametrize(

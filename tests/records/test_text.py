@@ -27,20 +27,6 @@ def test_one_decimal_sign_for_a_file(tmp_path: Path, text: str, values: list[lis
     np.testing.assert_array_equal(read(text_file(tmp_path, text), sampling_time=1).y, values)
 
 
-@pytest.mark.parametrize("sign", [".", ","])
-def test_numbers_with_thousands_separators_are_those_without(tmp_path: Path, sign: str) -> None:
-    """pandas reads what it is told; the oracle is the table that was written."""
-    other = "," if sign == "." else "."
-    values = np.random.default_rng(3).standard_normal((60, 3)) * [1, 1e3, 1e6]
-    swap = str.maketrans({",": other, ".": sign})
-    rows = [";".join(f"{value:,.4f}".translate(swap) for value in row) for row in values]
-    path = text_file(tmp_path, "\n".join(["a;b;c", *rows]))
-    frame = pd.read_csv(path, sep=";", decimal=sign, thousands=other)
-    found = read(path, sampling_time=1)
-    np.testing.assert_array_equal(found.y, frame.to_numpy())
-    np.testing.assert_array_equal(found.y, values.round(4))
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from scipy.signal import butter, filtfilt
@@ -29,9 +28,7 @@ from splitband.forecasters.prediction import ForecastContext
 from splitband.metrics import rmse
 from splitband.models import Signals, SplitModel
 from splitband.records.named import double_mass_spring, van_der_pol
-
-Array = npt.NDArray[np.float64]
-
+from splitband.runtime.arrays import Array
 
 ROW = ["--systems", "i", "--seeds", "2", "--epochs", "2", "--jobs", "1"]
 METHODS = ["--methods", "split-gru,harmonic,oracle"]
@@ -62,7 +59,6 @@ def test_a_file_holds_what_was_predicted(folder: Path) -> None:
     facts = load(job, folder / "runs")
     found = as_fit(facts, record)
     truth = record.y_true
-    assert truth is not None
     assert rmse(truth[30:], found.from_start.y) == pytest.approx(facts["total_rmse"], abs=1e-3)
     assert rmse(truth[250:], found.ahead) == pytest.approx(facts["forecast_rmse"], abs=1e-3)
     first = as_fit(load(replace(job, seed=0), folder / "runs"), record).from_start
@@ -192,7 +188,6 @@ def test_the_whole_trajectory_counts_the_warm_up_too() -> None:
         record = job.record
         # A network takes the measured samples over; a simulator has its own there.
         start = record.y if method == "residual-gru" else record.y_sim
-        assert start is not None
         whole = np.concatenate([start[:50], as_fit(facts, record).from_start.y])
         assert rmse(record.truth, whole) == pytest.approx(whole_rmse(facts, job), abs=1e-3)
 
@@ -280,7 +275,6 @@ def test_the_oracle_of_system_i_has_the_noise_floor() -> None:
     errors = []
     for draw in range(30):
         record = double_mass_spring(seed=draw)
-        assert record.y_true is not None
         errors.append(rmse(record.y_true, oracle_on(record)))
     # 200 draws in the reading notes: mean 0.175, median 0.161.
     assert 0.14 < np.median(errors) < 0.2

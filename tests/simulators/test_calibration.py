@@ -136,7 +136,7 @@ def test_calibration_brings_the_simulator_of_system_v_closer() -> None:
     r = van_der_pol()
     model = Calibrated().fit(r[:600])
     with pytest.warns(ExtrapolationWarning, match="for the last 4 of 1400 samples"):
-        found = model.predict(1400, y_sim=r.y_sim[600:])  # type: ignore[index]
+        found = model.predict(1400, y_sim=r.y_sim[600:])
     assert rmse(r.y[600:], found.y) == pytest.approx(0.264, abs=5e-4)
 
 

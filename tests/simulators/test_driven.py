@@ -127,8 +127,8 @@ def test_a_driven_simulator_gives_the_independent_answer(
     u = np.column_stack([*inputs.values()])
     record = sb.Record(wanted, DT, u=u, start=start, inputs=tuple(inputs))
     model = sb.Simulation(make(tmp_path / "rig.fmu")).fit(record[:80])
-    np.testing.assert_allclose(model.on(record).y_sim[:, 0], wanted, atol=near)  # type: ignore[index]
-    found = model.predict(SAMPLES - 80, u=record.u[80:])  # type: ignore[index]
+    np.testing.assert_allclose(model.on(record).y_sim[:, 0], wanted, atol=near)
+    found = model.predict(SAMPLES - 80, u=record.u[80:])
     np.testing.assert_allclose(found.y[:, 0], wanted[80:], atol=near)
 
 
@@ -147,7 +147,7 @@ def test_a_gain_or_a_delay_that_nothing_tells_apart_is_refused(tmp_path: Path) -
     with pytest.raises(ValueError, match="computed in the step after it, or one sample late"):
         sb.Simulation(fmu).fit(record).on(record)
     told = sb.Fmu(built(tmp_path / "told.fmu", out="3 * r[U]", mode=1, fixed=DT, dependencies="1"))
-    np.testing.assert_allclose(sb.Simulation(told).fit(record).on(record).y_sim, record.y)  # type: ignore[arg-type]
+    np.testing.assert_allclose(sb.Simulation(told).fit(record).on(record).y_sim, record.y)
 
 
 def test_what_a_run_cannot_tell_is_said(tmp_path: Path) -> None:
@@ -155,10 +155,10 @@ def test_what_a_run_cannot_tell_is_said(tmp_path: Path) -> None:
     record = sb.Record(lag(STEPS), DT, u=STEPS)
     with pytest.warns(UserWarning, match="y of .*rig.fmu is taken not to depend on the inputs"):
         found = sb.Simulation(fmu).fit(record).on(record)
-    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)
     told = sb.Fmu(built(tmp_path / "told.fmu", mode=1, fixed=DT, dependencies=""))
     found = sb.Simulation(told).fit(record).on(record)  # warnings are errors here
-    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)
 
 
 def test_values_that_an_input_cannot_take_are_refused(tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_how_an_output_is_read_is_found_out_for_the_inputs_of_each_record(tmp_pa
     fmu = sb.Fmu(built(tmp_path / "rig.fmu", out=out, mode=1))
     small, large = sb.Record(lag(STEPS), DT, u=STEPS), sb.Record(STEPS, DT, u=20 * STEPS)
     found = sb.Simulation(fmu).fit(small).on(small)
-    np.testing.assert_allclose(found.y_sim, small.y, atol=1e-6)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.y_sim, small.y, atol=1e-6)
     with pytest.raises(ValueError, match="depends on the inputs at once"):
         sb.Simulation(fmu).fit(large).on(large)
 
@@ -216,13 +216,13 @@ def test_names_match_without_units_and_local_variables_are_found(tmp_path: Path)
     u, names = np.column_stack([WAVE, STEPS]), ("heater [W]", "valve (%)")
     record = sb.Record(lag(STEPS), DT, u=u, columns=("x [m]",), inputs=names)
     found = sb.Simulation(two(tmp_path)).fit(record).on(record)
-    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)
 
 
 def test_inputs_that_are_not_named_keep_their_start_values(tmp_path: Path) -> None:
     record = sb.Record(lag(STEPS), DT, u=STEPS, inputs=("opening",))
     found = sb.Simulation(two(tmp_path, inputs=["valve"])).fit(record).on(record)
-    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)
     found = sb.Simulation(two(tmp_path, inputs=[])).fit(record).on(record)
     np.testing.assert_array_equal(found.y_sim, 0 * record.y)
     with pytest.raises(ValueError, match="x is none; it has valve, heater"):
@@ -239,7 +239,7 @@ class Own:
 @pytest.mark.filterwarnings("ignore:output y is beyond its range")
 def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
     record = sb.Record(np.cumsum(STEPS) + 0.01 * WAVE, DT, u=STEPS, start=0.0)
-    train, ahead = record[:80], record.u[80:]  # type: ignore[index]
+    train, ahead = record[:80], record.u[80:]
     short = sb.TrainingSettings.paper(window=30, warmup=10, epochs=1)
     # With a network that adds nothing to speak of, a hybrid is its base.
     for model in (
@@ -252,13 +252,13 @@ def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
         found = fitted.predict(40, u=ahead).y
         other = fitted.predict(40, u=-ahead).y
         stream = fitted.stream()
-        output = Own().simulate(np.linspace(0.0, 84 * DT, 85), record.u[:85])[80:]  # type: ignore[index]
+        output = Own().simulate(np.linspace(0.0, 84 * DT, 85), record.u[:85])[80:]
         stepped = np.stack([stream.step(u, y) for u, y in zip(ahead[:5], output, strict=True)])
         np.testing.assert_allclose(stepped, found[:5], atol=1e-5)
         assert np.abs(found[:, 0] - record.y[80:, 0]).max() < 0.5 * np.ptp(record.y)
         assert np.abs(found - other).max() > 1
         if not model.random:  # what drives it before a history is known
-            late = fitted.predict(20, record[60:100], record.u[100:]).y  # type: ignore[index]
+            late = fitted.predict(20, record[60:100], record.u[100:]).y
             np.testing.assert_allclose(late, found[20:], atol=1e-9)
     with pytest.raises(ValueError, match="driven by all inputs"):
         sb.Simulation(Own()).fit(sb.Record(record.y[:50], DT, u=STEPS[:50], start=0.0)).predict(

@@ -37,7 +37,7 @@ def record(y: Array, u: Array | None, **how: Any) -> sb.Record:
 
 
 def simulated(simulator: Any, of: sb.Record) -> Array:
-    found: Array = sb.Simulation(simulator).fit(of).on(of).y_sim  # type: ignore[assignment]
+    found: Array = sb.Simulation(simulator).fit(of).on(of).y_sim
     return found
 
 

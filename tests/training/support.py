@@ -6,19 +6,17 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from torch import Tensor
 
 from splitband import GRU, Record, TrainingSettings
 from splitband.models import Model, Recurrent, Signals, Task
+from splitband.runtime.arrays import Array
 from splitband.training import History, fit
 from splitband.training.optimizers import Adam
 from tests.signals import QUICK, SETUP, TRAIN, record
 from tests.support import untrained
-
-Array = npt.NDArray[np.float64]
 
 RECIPE = TrainingSettings.paper(
     40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6

@@ -52,8 +52,6 @@ def nearest(time: float) -> int:
 class LastPeriod:
     """The last period of the training samples, repeated on a trend; use `LastPeriod.fit`.
 
-    Attributes
-    ----------
     period : The samples of the period, without the trend, `(lag, ny)`.
     end : Index after the last sample of the period.
     trend : Trends by channel.

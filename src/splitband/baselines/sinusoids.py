@@ -57,8 +57,6 @@ class Sinusoids:
     A sinusoid with less than one cycle in the record is not distinguishable from a drift: it is
     constant before and after the record.
 
-    Attributes
-    ----------
     frequencies : Frequencies in cycles per sample; 0 for a decaying exponential.
     dampings : Decay rates per sample; zero for sustained sinusoids.
     coefficients : Offset, cosine and sine amplitudes, and the size of a line.
@@ -221,8 +219,6 @@ class Sinusoids:
 class SinusoidRegression:
     """Sinusoids, offsets and lines by channel; `harmonic` fits them.
 
-    Attributes
-    ----------
     channels : The sinusoids by channel.
     begin : Index of the first fitted sample, at which decays begin.
     """

@@ -92,10 +92,7 @@ class Renderer:
         return self._expression(node, index)
 
     def stored_outputs(self, block: Block) -> list[str]:
-        """Write the outputs of the program to variables; return their names.
-
-        A name is empty if the output has no elements, or is the input at the same position.
-        """
+        """Write outputs to variables; return their names, "" for an unchanged or empty one."""
         named = []
         for symbol, old in zip_longest(block.outputs, block.inputs[: len(block.outputs) - 2]):
             if not size(symbol) or symbol is old:

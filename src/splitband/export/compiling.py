@@ -60,8 +60,6 @@ def libraries(folder: Path, files: Sequence[str], name: str) -> dict[str, bytes]
     There is one for each of `PLATFORMS` with ziglang, one for this platform without it; a line of
     the log says which.
 
-    Parameters
-    ----------
     folder : Where the files are; what is compiled stays there, too.
     files : Names of the C files; headers stand beside them.
     name : Name of the library, without an ending.

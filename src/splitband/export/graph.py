@@ -137,8 +137,6 @@ class Trace:
 class Symbol(np.lib.mixins.NDArrayOperatorsMixin, Traced):
     """Stand for an array whose values are not known.
 
-    Attributes
-    ----------
     shape : Shape of the array.
     flag : Whether its elements are Boolean.
     node : The operation that computes it; None for an input or a constant.

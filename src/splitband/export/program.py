@@ -34,8 +34,6 @@ class Leaf:
 class Program:
     """Hold the update of a forecaster's state by one sample.
 
-    Attributes
-    ----------
     block : Inputs are the state's leaves, y, u and y_sim; outputs are the state's leaves, the
         predicted sample and whether it could be predicted.
     given : Names and shapes of the signals of a sample: y, and u and y_sim if the model has them.
@@ -70,10 +68,7 @@ class Program:
 def program(
     forecaster: Forecaster, name: str, history: Record | None = None, other_record: bool = False
 ) -> Program:
-    """Return the program of a fitted forecaster, which begins after a history.
-
-    Raises ValueError, naming the forecaster, if it cannot be exported.
-    """
+    """Return the program of a fitted forecaster, which begins after a history."""
     steps = forecaster.step_form()
     record = forecaster.require_fitted().record
     state = begun(steps, forecaster, history, other_record)
@@ -125,10 +120,7 @@ def program(
 def begun(
     steps: Steps, forecaster: Forecaster, history: Record | None, other_record: bool
 ) -> State | None:
-    """Return the state after a history, by default that of training.
-
-    None where it depends on a simulator's output up to there that is not available.
-    """
+    """Return the state after a history; None where that needs output that is not there."""
     try:
         return steps.begin(known_of(forecaster, 0, history, other_record))
     except ValueError:

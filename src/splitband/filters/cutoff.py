@@ -53,8 +53,6 @@ _NYQUIST_MARGIN = 0.8
 class CutoffCandidate:
     """A candidate filter pair.
 
-    Attributes
-    ----------
     cutoff : In Hz.
     order : Of each Butterworth filter.
     downsampling : The largest k for the low band and a warm-up of `LEAST_WARMUP` samples.
@@ -74,8 +72,6 @@ class CutoffCandidate:
 class Choice:
     """The chosen filter pair and the reason for it.
 
-    Attributes
-    ----------
     cutoff, order, downsampling : See `CutoffCandidate`.
     reason : Reason of the choice, in words.
     loss : Meaning of `CutoffCandidate.loss`, in words.

@@ -38,11 +38,6 @@ def lfilter(
 
     The paper's Eq. 4, recurrence, with SciPy's sign of the feedback (reproduction/REPORT.md).
 
-    Raises ValueError for `start="odd"`, which needs both directions, and unless `first` has P
-    samples.
-
-    Parameters
-    ----------
     b, a : Coefficients; the longer one has P + 1.
     x : The signal.
     start : `"zeros"`, or `"steady"`: as if all earlier samples had the value of the first one.
@@ -75,10 +70,6 @@ def filtfilt(
 ) -> Signal:
     """Filter forwards and backwards: no phase shift, and a squared magnitude response.
 
-    Raises ValueError for a signal shorter than the extension.
-
-    Parameters
-    ----------
     b, a : Coefficients; the longer one has P + 1.
     x : The signal.
     start : At both ends: `"odd"` extends the signal by 3 (P + 1) samples, point-reflected, as

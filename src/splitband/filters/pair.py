@@ -29,11 +29,6 @@ def butterworth(
 ) -> tuple[Array, Array]:
     """Design a Butterworth filter; return its coefficients `(b, a)`, each `(order + 1,)`.
 
-    Raises ValueError for a cut-off outside the Nyquist range, or an order too high for coefficients
-    in double precision at this cut-off.
-
-    Parameters
-    ----------
     cutoff : Frequency of half power in Hz, inside (0, sampling_rate / 2).
     sampling_rate : In Hz.
     order : At least 1.

@@ -17,11 +17,7 @@ Alignment = Literal["time", "paper"]
 
 
 def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -> None:
-    """Check that down-sampling keeps frequencies up to `cutoff`: 2 cutoff < sampling_rate / k.
-
-    Raises ValueError for k < 1, and for a cut-off (Hz) at or above the Nyquist frequency after
-    down-sampling.
-    """
+    """Check that down-sampling keeps frequencies up to `cutoff`: 2 cutoff < sampling_rate / k."""
     if downsampling < 1:
         raise InputError(f"downsampling must be at least 1, got {downsampling}")
     nyquist = sampling_rate / downsampling / 2
@@ -46,8 +42,6 @@ def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
 def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "time") -> Signal:
     """Insert k - 1 samples after each one by linear interpolation (paper, Sec. 4.2).
 
-    Parameters
-    ----------
     y : The down-sampled signal, n samples.
     k : The factor.
     length : Number of samples to return, at most k n; all by default.

@@ -23,8 +23,6 @@ LEAST_PEAK = 0.005
 class Spectrum:
     """The power spectral density of a record.
 
-    Attributes
-    ----------
     frequencies : Frequencies in Hz, `(bins,)`, from 0 to the Nyquist frequency.
     density : Density in squared units of the record per Hz, `(bins, ny)`.
     """
@@ -98,8 +96,6 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
 class Oracle:
     """The least RMSE of a hybrid at a cut-off (paper, Sec. 4.4).
 
-    Attributes
-    ----------
     cutoff : In Hz.
     perfect_network : RMSE of H(y) + L(y_sim), the hybrid with a perfect network.
     no_network : RMSE of L(y_sim) alone.

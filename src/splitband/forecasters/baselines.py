@@ -43,26 +43,21 @@ class Mean(Forecaster):
     state_types: ClassVar[Mapping[str, Any]] = {"level": Array}
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
-        """Compute the mean of all records."""
         self.level = np.nanmean(np.concatenate([record.y_with_gaps for record in records]), axis=0)
 
     def complete(self) -> None:
-        """Check the mean as well; see `Forecaster.complete`."""
         super().complete()
         check_shape("level", self.level, self.require_fitted().record.ny)
 
     def extrapolate(self, known: ForecastContext) -> Array:
-        """Return the mean."""
         return np.tile(self.level, (known.steps, 1))
 
     def step_form(self) -> Steps:
-        """Return the constant."""
         return ConstantSteps(self.level)
 
     _words = "mean"
 
     def describe(self) -> str:
-        """Return a description."""
         return "the mean of the training samples"
 
 
@@ -83,13 +78,11 @@ class Persistence(Forecaster):
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
     def step_form(self) -> Steps:
-        """Return the last measured value of each channel, held."""
         return LastSteps(self.require_fitted().record.ny)
 
     _words = "last value held"
 
     def describe(self) -> str:
-        """Return a description."""
         return "the last measured sample, held"
 
 
@@ -113,22 +106,18 @@ class _ByTime(Forecaster):
         self.error = _errors(seen, self.baseline.predict(0, len(seen)))
 
     def complete(self) -> None:
-        """Check the function as well; see `Forecaster.complete`."""
         super().complete()
         ny = self.require_fitted().record.ny
         check_shape("error", self.error, ny)
         check_shape("baseline", self.baseline.predict(0, 1), 1, ny)
 
     def extrapolate(self, known: ForecastContext) -> Array:
-        """Return the values of the function after the history."""
         return self.baseline.predict(_begin(known) + len(known.y), known.steps)
 
     def trajectory(self, known: ForecastContext) -> Array:
-        """Return the values of the function over history and forecast, `(time + steps, ny)`."""
         return self.baseline.predict(_begin(known), len(known.y) + known.steps)
 
     def step_form(self) -> Steps:
-        """Return the function of time."""
         return TimeSteps(self.baseline)
 
     def doubts(self, known: ForecastContext) -> list[str]:
@@ -147,7 +136,6 @@ class _ByTime(Forecaster):
         ]
 
     def describe(self) -> str:
-        """Return the fitted periods and trends."""
         return str(self.baseline) + first_only(self.require_fitted())
 
 
@@ -208,11 +196,9 @@ class ConstantSteps(Steps):
         self.level = level
 
     def begin(self, history: ForecastContext | None) -> State:
-        """Return an empty state."""
         return {}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the level."""
         return state, self.level
 
 
@@ -224,7 +210,6 @@ class LastSteps(Steps):
         self.ny = ny
 
     def begin(self, history: ForecastContext | None) -> State:
-        """Return the last measured values, NaN where there is none."""
         last = np.full(self.ny, np.nan)
         for i, y in enumerate(() if history is None else history.y.T):
             measured = np.flatnonzero(~np.isnan(y))
@@ -232,11 +217,9 @@ class LastSteps(Steps):
         return {"last": last}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the last values."""
         return state, state["last"]
 
     def correct(self, state: State, y: Array) -> State:
-        """Return a state with the values that were measured."""
         return {"last": np.where(np.isnan(y), state["last"], y)}
 
 
@@ -248,11 +231,9 @@ class TimeSteps(Steps):
         self.function = function
 
     def begin(self, history: ForecastContext | None) -> State:
-        """Return the time of the next sample, in samples."""
         return {"time": np.array(float(_end(history)))}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the value at this time."""
         return {"time": state["time"] + 1}, self.function.predict(state["time"], 1)[0]
 
 
@@ -270,7 +251,6 @@ class PeriodSteps(Steps):
         return {"time": np.array(float(time)), "period": period}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the first sample of the period, and move it to the end."""
         period = state["period"]
         following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
         y = period[0] + self.last.trend.predict(state["time"], 1)[0]
@@ -283,10 +263,7 @@ def _errors(y: Array, predicted: Array) -> Array:
 
 
 def _begin(known: ForecastContext | None) -> float:
-    """Return the time of a history's first sample; 0 for another record, or none.
-
-    It is an integer where it can be, so that times are equal to the bit.
-    """
+    """Return the time of a history's first sample, 0 for another record; whole where it can be."""
     begin = 0.0 if known is None or known.begin is None else known.begin
     return int(begin) if begin == int(begin) else begin
 

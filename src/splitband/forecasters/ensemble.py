@@ -121,12 +121,10 @@ class Ensemble(Forecaster):
 
     @property
     def name(self) -> str:
-        """Return the given name, or that of the first member."""
         return self._name or self.templates[0].name
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Return the fitted parameters, which are the same for all members."""
         return self.members[0].parameters if self.members else {}
 
     @property
@@ -135,7 +133,6 @@ class Ensemble(Forecaster):
         return max([m.warmup for m in self.members], default=self.templates[0].warmup)
 
     def to(self, device: str | torch.device) -> Self:
-        """Train and run the members' networks on this device from now on."""
         for member in self.members:
             member.to(device)
         return super().to(device)
@@ -146,15 +143,12 @@ class Ensemble(Forecaster):
         return type(self)(members, name=self._name, seeds=self.seeds)
 
     def first_needed(self) -> int:
-        """Return the earliest sample that a member needs."""
         return min(member.first_needed() for member in self.members)
 
     def in_words(self) -> str:
-        """Return the description of the first member."""
         return (self.members or self.templates)[0].in_words()
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
-        """Fit the members."""
         seed, start, progress = how["seed"], how["start"], how["progress"]
         starts: list[Forecaster | None] = [None] * self.count
         if start is not None:
@@ -183,15 +177,12 @@ class Ensemble(Forecaster):
         return median_components(parts, [y for y, _ in found])
 
     def step_form(self) -> Steps:
-        """Return the median of the members' predictions."""
         return MedianSteps([member.step_form() for member in self.members])
 
     def doubts(self, known: ForecastContext) -> list[str]:
-        """Return the doubts of all members."""
         return [*dict.fromkeys(said for member in self.members for said in member.doubts(known))]
 
     def describe(self) -> str:
-        """Return the description of the first fitted member."""
         return self.members[0].describe() if self.members else ""
 
 
@@ -207,15 +198,12 @@ class MedianSteps(Steps):
         self.warmup = max(member.warmup for member in members)
 
     def begin(self, history: ForecastContext | None) -> State:
-        """Return the states of all members."""
         return {"members": [member.begin(history) for member in self.members]}
 
     def warmed_up(self, state: State) -> State:
-        """Return the states with the warm-ups done."""
         return {"members": [member.warmed_up(own) for member, own in self._each(state)]}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the states one sample later, and the median."""
         return self._median(
             member.run(own, u, y_sim[: 1 + member.ahead]) for member, own in self._each(state)
         )
@@ -230,7 +218,6 @@ class MedianSteps(Steps):
         )
 
     def correct(self, state: State, y: Array) -> State:
-        """Return the states that take a measured sample into account."""
         return {"members": [member.correct(own, y) for member, own in self._each(state)]}
 
     def _each(self, state: State) -> Iterable[tuple[Steps, State]]:
@@ -242,10 +229,7 @@ class MedianSteps(Steps):
 
 
 def fitted_ensemble(models: Sequence[Forecaster], held_out: HeldOut | None) -> Forecaster:
-    """Return the ensemble of fitted models, with the held-out errors for its intervals.
-
-    For the seed 0 alone, and for a method without seeds, it is the (first) model itself.
-    """
+    """Return the ensemble of fitted models with these errors; one of seed 0 is itself."""
     usual = [model.require_fitted().report.seed for model in models] == [0]
     model = models[0] if usual or not models[0].random else Ensemble.of(models)
     model.held_out = held_out

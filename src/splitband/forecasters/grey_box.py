@@ -83,7 +83,6 @@ class GreyBox(Forecaster):
 
     @property
     def name(self) -> str:
-        """Return the given name, or "grey-box"."""
         return self._name or "grey-box"
 
     slow_part = "fitted simulator"
@@ -127,7 +126,6 @@ class GreyBox(Forecaster):
         return {**self.get_params(), "simulator": self.simulator.description(fitted=True)}
 
     def complete(self) -> None:
-        """Check the fitted simulator and the samples as well; see `Forecaster.complete`."""
         super().complete()
         record, adjusted = self.require_fitted().record, self._adjusted()
         check_shape("noise", adjusted.noise, record.ny)
@@ -151,7 +149,6 @@ class GreyBox(Forecaster):
         return "simulator with fitted parameters" if fitted else "simulator as given"
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
-        """Fit the parameters to all records together."""
         simulator = self._matched(records[0])
         effort = Effort(self.starts, self.seconds, how["workers"], how["seed"])
         self.estimate = identify(simulator, *records, effort=effort)
@@ -168,7 +165,6 @@ class GreyBox(Forecaster):
         return matched(self.simulator, record.columns, record.inputs)
 
     def extrapolate(self, known: ForecastContext) -> Array:
-        """Return the simulation from the state estimated from the last samples of the history."""
         return self._forecast(known)[0]
 
     def _forecast(self, known: ForecastContext) -> Response:
@@ -259,7 +255,6 @@ class GreyBox(Forecaster):
         return x[-1], self._begin(known) + samples - 1.0
 
     def describe(self) -> str:
-        """Return the values with standard errors, and those that the record does not determine."""
         terms = [str(term) for term in self.terms if term.trained]
         return "; ".join(filter(None, [str(self.estimate), *terms]))
 
@@ -441,7 +436,6 @@ class EquationSteps(Steps):
         return {"x": x, "u": u, "at": np.array(at), "begun": np.array(begun)}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the state one sample later, and its channels."""
         width = self.equation.width
         equation = replace(self.equation, width=width * state["begun"])
         x = equation.advance(state["x"], self.start + width * state["at"], state["u"], u)

@@ -53,8 +53,6 @@ of the method's error over as many first samples of the forecasts that are score
 class Origin:
     """Define where a forecast begins.
 
-    Attributes
-    ----------
     fitted : Number of samples at the beginning of the record to which the forecaster is fitted.
     at : Index of the first forecast sample; the warm-up is before it.
     steps : Number of samples to forecast; 0: to the end of the record.
@@ -162,10 +160,7 @@ def held_out_origins(
 def held_out_errors(
     record: Record, forecasts: Mapping[Origin, Array], earlier: bool = False
 ) -> list[Array]:
-    """Return the errors of forecasts that begin in a record's last quarter, or `earlier`.
-
-    They are in the order of origins, `(time, ny)` each, by horizon.
-    """
+    """Return the errors by horizon of forecasts in the last quarter, or `earlier`."""
     seen, first = record.y_with_gaps, first_held_out(len(record))
     return [
         seen[origin.at :][: len(y)] - y[: len(record) - origin.at]

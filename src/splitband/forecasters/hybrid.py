@@ -51,11 +51,9 @@ class Single(Network):
         self.cell = as_template(cell)
 
     def _build(self, record: Record, settings: TrainingSettings) -> Model:
-        """Return a model with one network, which runs at every sample."""
         return models.Recurrent(self._sized(self.cell, record, settings), record.nu > 0)
 
     def in_words(self) -> str:
-        """Return the kind of network."""
         return words_of(self.cell)
 
     def _derived_name(self) -> str:
@@ -110,7 +108,6 @@ class Split(Network):
         self.filter_output = filter_output
 
     def _build(self, record: Record, settings: TrainingSettings) -> Model:
-        """Return a model with a network for each band."""
         bands = self._bands_for(record, settings)
         assert bands.downsampling is not None
         # With k = 1 the slow network also runs at every sample, with this input and the next.
@@ -128,7 +125,6 @@ class Split(Network):
         )
 
     def in_words(self) -> str:
-        """Return which network has which band."""
         said = self._of_bands(words_of(self.low), words_of(self.high))
         return f"{said}, high-passed" if self.filter_output else said
 
@@ -215,7 +211,6 @@ class Filtered(Network):
         self.bands, self.conditioned = require_bands(bands), conditioned
 
     def _build(self, record: Record, settings: TrainingSettings) -> Model:
-        """Return a model with a network and a filter pair."""
         bands = self._bands_for(record, settings)
         pair, driven = bands.one_way_pair(record.sampling_rate, self.simulator_band), record.nu > 0
         if not self._above:
@@ -242,7 +237,6 @@ class Filtered(Network):
         return {"bands": bands, "base": base}
 
     def in_words(self) -> str:
-        """Return which part has which band."""
         base, network = self.base.slow_part or self.base.slow_label, words_of(self.cell)
         return self._of_bands(*((network, base) if self._above else (base, network)))
 
@@ -308,12 +302,10 @@ class Residual(Network):
         self.conditioned = conditioned
 
     def _build(self, record: Record, settings: TrainingSettings) -> Model:
-        """Return a model with a network and no filters."""
         cell = self._sized(self.cell, record, settings)
         return models.ResidualModel(cell, self.conditioned, record.nu > 0)
 
     def in_words(self) -> str:
-        """Return the parts that add up."""
         return f"{self.base.slow_part or self.base.slow_label} + {words_of(self.cell)}"
 
     def _derived_name(self) -> str:

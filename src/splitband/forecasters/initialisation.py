@@ -45,10 +45,7 @@ class LinearPart(Protocol):
 
 
 def reach_of(record: Record, others: Sequence[Record] = ()) -> int | None:
-    """Return for how many samples ahead forecasts of an unstable plant are worth making.
-
-    None for records that show none, see `linear.closed_loop`.
-    """
+    """Return how far forecasts of an unstable plant are worth making; None for others."""
     seen = [(each.y_with_gaps, each.u) for each in (record, *others) if each.u is not None]
     if len({(y.shape[1], u.shape[1]) for y, u in seen}) != 1:
         return None

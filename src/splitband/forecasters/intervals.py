@@ -45,8 +45,6 @@ Misfit = Literal["", "narrow", "wide"]
 class Interval:
     """Hold the half-widths of the interval around a forecast: `first * horizon ** exponent`.
 
-    Attributes
-    ----------
     first : By channel: half-width at the first forecast sample, in the record's unit.
     exponent : By channel.
     most : By channel: upper limit of the half-width if the channel is bounded, else None.
@@ -127,8 +125,6 @@ def _share(inside: Flags, errors: Array) -> float:
 class HeldOut:
     """Hold the errors of held-out forecasts, from which the interval of any level follows.
 
-    Attributes
-    ----------
     errors : Of forecasts from several origins, `(time, ny)` each, by horizon; NaN where nothing was
         measured.
     largest, deviation, bounded : By channel, `(ny,)` each: the largest absolute value, the standard
@@ -191,10 +187,7 @@ class HeldOut:
         return self._known[share]
 
     def around_mean(self, share: float) -> Array:
-        """Return the half-widths of an interval around the record's mean, `(ny,)`.
-
-        An interval that is as wide says nothing.
-        """
+        """Return half-widths `(ny,)` around the mean: as wide an interval says nothing."""
         return np.asarray(_quantile(share) * self.deviation)
 
 

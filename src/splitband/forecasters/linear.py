@@ -78,12 +78,10 @@ class Linear(Forecaster):
             whole("integrators", integrators, 0, self.order or MOST_POLES)
 
     def check(self, *records: Record) -> None:
-        """Raise ValueError for records that do not fit, and for delays that do not fit them."""
         super().check(*records)
         self._delays(records[0])
 
     def complete(self) -> None:
-        """Check the model and the inputs as well; see `Forecaster.complete`."""
         super().complete()
         record = self.require_fitted().record
         check_shape("c", self.model.c, record.ny, None)
@@ -96,7 +94,6 @@ class Linear(Forecaster):
     plants held 92 % as well, in 2.4 times the time."""
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
-        """Fit the model to all records."""
         seen = [(r.y_with_gaps, r.u) for r in records if r.u is not None]  # all: see `check`
         self.u = seen[0][1]
         integrators = None if self.integrators == "auto" else self.integrators
@@ -108,7 +105,6 @@ class Linear(Forecaster):
         self.fitted = self.fitted.reporting(notes=tuple(self._notes(records)))
 
     def extrapolate(self, known: ForecastContext) -> Array:
-        """Return the simulation after the history, from the state at its end."""
         assert known.u is not None
         time, before = len(known.y), _inputs_before(self.model, self.u, known)
         u = known.u[: time + known.steps]
@@ -150,7 +146,6 @@ class Linear(Forecaster):
         return self.model.uncertainty
 
     def step_form(self) -> Steps:
-        """Return the model with its Kalman filter."""
         return LinearSteps(self.model, self.u)
 
     def state_space(self) -> scipy.signal.StateSpace:
@@ -164,7 +159,6 @@ class Linear(Forecaster):
         )
 
     def system_matrices(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C and D, delays included."""
         return self.model.state_space()
 
     def operating_point(self) -> tuple[Array, Array]:
@@ -204,7 +198,6 @@ class Linear(Forecaster):
         return control.ss(*self.model.state_space(), record.sampling_time, **names)
 
     def describe(self) -> str:
-        """Return the chosen order, the delays of the inputs, and remarks."""
         fitted = self.require_fitted()
         late = fitted.late_inputs(self.delays)
         return "; ".join(filter(None, [str(self.model), late, *fitted.report.notes]))
@@ -254,8 +247,6 @@ class LinearSteps(Steps):
     x, the expected state at the next sample, and its covariance, due to the unknown initial state,
     go on by the filter of the innovations form, whose gain is K once that covariance has vanished.
 
-    Parameters
-    ----------
     model : The fitted model.
     training : Inputs of the training record from its first sample on, `(time, nu)`.
     """
@@ -289,7 +280,6 @@ class LinearSteps(Steps):
         }
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the state one sample later, and the prediction."""
         model, covariance = self.model, state["covariance"]
         line, acting = self.line.move(state["line"], np.stack([u[i] for i in self.inputs]))
         acting = acting - model.mean[self.inputs]

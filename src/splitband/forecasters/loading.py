@@ -104,8 +104,6 @@ def give_simulator(
 
     `how` holds arguments of `open_simulator`; what is not given of them is as it was saved. Output
     that was exported without time stamps begins with `past`, after which `steps` are predicted.
-
-    Raises ValueError as `open_simulator` and `load`, and for parameters that are not fitted.
     """
     used, runs = forecaster.parameters.get("used"), ".py:" in name or name[-4:].lower() == ".fmu"
     for saved in filter(None, map(description_of, simulations(forecaster)) if runs else ()):
@@ -144,11 +142,7 @@ def _of_result(folder: Path) -> Path:
 
 
 def _give(forecaster: Forecaster, simulator: KnownSimulator) -> None:
-    """Set the simulator of a forecaster, with a warning if it differs from the saved one.
-
-    Raises ValueError if it begins at another time, and for one that was run beside a record that
-    was then detrended.
-    """
+    """Set the simulator of a forecaster, with a warning if it differs from the saved one."""
     given = [*simulations(forecaster)]
     if not given:
         raise InputError(f"simulator must be left out for {forecaster.name}, which asks for none")

@@ -113,7 +113,6 @@ class Network(Forecaster):
 
     @property
     def name(self) -> str:
-        """Return the given name, or one derived from its parts."""
         return self._name or self._derived_name()
 
     random = True
@@ -127,12 +126,10 @@ class Network(Forecaster):
 
     @property
     def calibration(self) -> Calibration | None:
-        """Return the calibration of the base."""
         return None if self._fitted_base is None else self._fitted_base.calibration
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Return the fitted parameters of the base."""
         return {} if self._fitted_base is None else self._fitted_base.parameters
 
     @property
@@ -167,7 +164,6 @@ class Network(Forecaster):
         """Return the untrained model for a record, with weights drawn from torch's generator."""
 
     def to(self, device: str | torch.device) -> Self:
-        """Train and run on this device from now on."""
         check_device(device)
         if not has_torch():
             return super().to(device)
@@ -181,10 +177,7 @@ class Network(Forecaster):
         return super().to(device)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state for another process, the model on the CPU.
-
-        Tensors of a GPU cannot be passed on by the process that receives them.
-        """
+        """Return the state for another process, which cannot pass on tensors of a GPU."""
         state, model = {**vars(self)}, self.model
         if model is not None and str(self._device) != "cpu":
             state["model"] = deepcopy(model).to("cpu")
@@ -213,12 +206,10 @@ class Network(Forecaster):
         return new.trained_as(replace(settings, window=min(settings.window, shorter)))
 
     def untrained(self) -> Forecaster:
-        """Return it not trained, with the settings and bands of its training."""
         new = self.trained_as(self._trained_by or self.settings)
         return new if self._trained_in is None else new.set_params(bands=self._trained_in)
 
     def training_in_words(self) -> str:
-        """Return sizes, window and steps, for tables."""
         cells = cells_of(self).values()
         sizes = [cell.size_in_words() for cell in cells if isinstance(cell, WithSize)]
         said = [" and ".join(sizes)] if sizes else []
@@ -235,7 +226,6 @@ class Network(Forecaster):
         return state_of(self, "model", "_device") | arrays
 
     def complete(self) -> None:
-        """Build the model; raises ValueError for weights that do not fit it."""
         super().complete()
         record, settings, weights = self.require_fitted().record, self._trained_by, self._weights
         if settings is None or (self.base is None) != (self._fitted_base is None):
@@ -285,7 +275,6 @@ class Network(Forecaster):
             )
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
-        """Fit the base, choose settings and bands that are not given, and train the model."""
         seed, start = how["seed"], self._start(how["start"], records[0])
         settings = self._settings_for(records[0], records[1:])
         self._trained_by = settings if start is None else settings.after(start._trained_by)
@@ -366,7 +355,6 @@ class Network(Forecaster):
         return doubts
 
     def step_form(self) -> Steps:
-        """Return the step form of model and base."""
         try:
             model = self._trained().stepped()
         except ValueError as error:
@@ -377,7 +365,6 @@ class Network(Forecaster):
         return NetworkSteps(self, model, None if base is None else base.step_form_as_base())
 
     def describe(self) -> str:
-        """Return the results of the base's fit, the training settings, and remarks."""
         fitted, base = self.require_fitted(), self._fitted_base
         said = []
         if base is not None and (base.slow_label != SIMULATOR or base.calibrates):
@@ -386,7 +373,6 @@ class Network(Forecaster):
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def with_options(self, params: dict[str, Any]) -> Self:
-        """Return one with other options, on the same device."""
         new = super().with_options(params)
         new._device = self._device
         return new
@@ -419,7 +405,6 @@ class Network(Forecaster):
 
     @property
     def fitted_bases(self) -> list[Forecaster]:
-        """Return the fitted base, and that of the base."""
         base = self._fitted_base
         return [] if base is None else [base, *base.fitted_bases]
 
@@ -526,10 +511,7 @@ class Network(Forecaster):
         return y[moved:], u, slow, samples - last
 
     def _span(self, y: Array) -> tuple[int, int, int]:
-        """Return where a warm-up begins, where the samples after it that are filled begin and end.
-
-        Raises ValueError for a history without a warm-up up to its last measured sample.
-        """
+        """Return where a warm-up begins, and where the filled samples after it begin and end."""
         length, measured = self.warmup, np.asarray(np.isfinite(y))
         seen, complete = (np.asarray(f(measured, axis=1)) for f in (np.any, np.all))
         last = len(y) - int(seen[::-1].argmax()) if seen.any() else 0

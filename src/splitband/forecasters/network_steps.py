@@ -28,8 +28,6 @@ class NetworkSteps(Steps):
     The state holds the last `warmup` samples, measured or predicted. After a measured sample, the
     model warms up on them again, once a prediction is requested.
 
-    Parameters
-    ----------
     network : The fitted forecaster.
     model : Its model, step by step.
     base : The step form of its base; None without one.
@@ -90,7 +88,6 @@ class NetworkSteps(Steps):
         return state | {"run": run, "fresh": np.zeros(())}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the state one sample later, and the prediction."""
         return self._later(state, u, y_sim, self._predicted)
 
     def advance(

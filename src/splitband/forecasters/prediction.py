@@ -60,10 +60,7 @@ class ForecastContext:
 
 
 def by_name(name: str, given: npt.ArrayLike | None, names: Sequence[str]) -> npt.ArrayLike | None:
-    """Return a signal whose columns, where it is a DataFrame, are in the order of these names.
-
-    Raises ValueError for other names; numbered ones match any others, in the order given.
-    """
+    """Return a signal whose columns, where it is a DataFrame, are in the order of these names."""
     if not isinstance(given, pd.DataFrame) or not names:
         return given
     columns = {str(column): column for column in given.columns}
@@ -161,10 +158,7 @@ def _means_after(past: Record, coming: Record, ahead: Grid) -> Record:
 def median_components(
     parts: Sequence[Mapping[str, Array]], totals: Sequence[Array]
 ) -> dict[str, Array]:
-    """Return components that add up to the median of several predictions.
-
-    At each sample they are those of the member in the middle, or the mean of the two there.
-    """
+    """Return components, of the members in the middle, that add up to the median."""
     count = len(totals)
     ordered = np.argsort(totals, axis=0, kind="stable")
     middle = ordered[(count - 1) // 2 : count // 2 + 1]

@@ -40,8 +40,6 @@ training error is too optimistic. By eye."""
 class Prehistory:
     """Hold the distribution of warm-ups in the training records, as the model sees them.
 
-    Attributes
-    ----------
     mean : Of the normalised outputs, inputs and, where there is a base, its output,
         `(warmup, ny + nu)` or `(warmup, ny + nu + ny)`.
     root : Principal directions, scaled so that their coefficients have a variance of 1,
@@ -87,10 +85,7 @@ class Prehistory:
     def completed(
         self, model: Model, y: Array, u: Array | None, slow: Array | None
     ) -> tuple[Array, Array | None, Array | None]:
-        """Return signals from the same sample on, with estimated rows before them.
-
-        `y`, the measured history, is then a whole warm-up; `slow` is the output of the base.
-        """
+        """Return signals with estimated rows before them, so that `y` is a whole warm-up."""
         require_torch("a history shorter than the warm-up of a network")
         import torch  # noqa: PLC0415  see `of`
 

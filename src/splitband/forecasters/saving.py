@@ -50,8 +50,6 @@ def save(
 ) -> None:
     """Write a fitted forecaster to a folder, whole or not at all.
 
-    Parameters
-    ----------
     forecaster : Fitted. The options of one of your own must be numbers, texts, dates, arrays,
         lists, tuples and dicts of these, and objects of the package; for its fit see
         `Forecaster.state`.
@@ -120,10 +118,7 @@ def arrays_of(forecaster: Forecaster) -> Arrays:
 
 
 def restored(kind: type[Forecaster], options: Mapping[str, Any], arrays: Arrays) -> Forecaster:
-    """Return the forecaster with these options and the fit of `arrays_of`.
-
-    Raises ValueError, or the errors of constructors, for what is no fit of it.
-    """
+    """Return the forecaster with these options and the fit of `arrays_of`."""
     parts = by_part(arrays)
     common = {name: rebuilt(of, parts.pop(name, {}), name) for name, of in COMMON.items()}
     new = kind.from_state(options, named(parts))

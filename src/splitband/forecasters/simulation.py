@@ -36,8 +36,6 @@ AFFINE: tuple[Term, ...] = ("gain", "offset")
 class Runs(KnownSimulator):
     """Hold a simulator's runs, computed once for all processes.
 
-    Attributes
-    ----------
     runs : Grid, inputs that drove it, if any, and output `(time, ny)` of each run.
     place : Place of the simulator among those of its method, see `simulators_of`.
     driven : Whether the simulator takes inputs.
@@ -82,10 +80,7 @@ def simulators_of(method: Forecaster) -> list[KnownSimulator]:
 
 
 def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
-    """Give a trained copy of a method its simulators again.
-
-    They replace their `Runs` and, in a copy that was loaded, the descriptions.
-    """
+    """Give a trained copy of a method its simulators, for their `Runs` or descriptions."""
     own = simulators_of(method)
     for part in simulations(model):
         if isinstance(part.simulator, Runs):
@@ -95,10 +90,7 @@ def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
 
 
 def with_simulators_run(method: Forecaster, *records: Record, ran: dict[Any, Runs]) -> Forecaster:
-    """Return a method whose simulators have been run, see `SimulatorForecaster.spans`.
-
-    A run that another method has made is in `ran`, and not made again; new runs are added.
-    """
+    """Return a method whose simulators have been run; runs in `ran` are not made again."""
     own = simulators_of(method)
 
     def changed(part: Forecaster) -> Forecaster:
@@ -164,7 +156,6 @@ class SimulatorForecaster(Forecaster):
 
     @property
     def name(self) -> str:
-        """Return the given name, or "simulator" with the suffix of its calibration."""
         return self._name or f"simulator{self.suffix}"
 
     @property
@@ -191,7 +182,6 @@ class SimulatorForecaster(Forecaster):
         return [*longest.values()]
 
     def complete(self) -> None:
-        """Check the calibration and the inputs as well; see `Forecaster.complete`."""
         super().complete()
         record = self.require_fitted().record
         self.applied.check(record.ny)
@@ -204,7 +194,6 @@ class SimulatorForecaster(Forecaster):
             self.u = records[0].u
 
     def extrapolate(self, known: ForecastContext) -> Array:
-        """Return the output after the history."""
         return self.trajectory(replace(known, since=len(known.y)))[len(known.y) :]
 
     def trajectory(self, known: ForecastContext) -> Array:
@@ -254,10 +243,7 @@ class SimulatorForecaster(Forecaster):
         return record.u if self._driven else None
 
     def _driving_until(self, known: ForecastContext, begin: float) -> Array | None:
-        """Return the inputs from the start of the simulation on, if they drive it.
-
-        Raises ValueError where those before the history are not known.
-        """
+        """Return the inputs from the start of the simulation on, if they drive it."""
         if not self._driven or known.u is None:
             return None
         if begin <= 0:
@@ -328,7 +314,6 @@ class SimulatorForecaster(Forecaster):
         return [said] if said else []
 
     def describe(self) -> str:
-        """Return the calibration of its output."""
         return str(self.applied)
 
     def _times(self, known: ForecastContext) -> Grid:
@@ -416,7 +401,6 @@ class Calibrated(SimulatorForecaster):
 
     @property
     def suffix(self) -> str:
-        """Return the end of its name: the terms that it fits."""
         if self.terms is None:
             return "-calibrated"
         return "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
@@ -427,17 +411,14 @@ class Calibrated(SimulatorForecaster):
 
     @property
     def calibration(self) -> Calibration | None:
-        """Return the fitted calibration; None before `fit`."""
         return None if self.fitted is None else self.applied
 
     def in_words(self) -> str:
-        """Return a description."""
         if self.terms == AFFINE:
             return "simulator with fitted gain and offset"
         return "calibrated simulator"
 
     def learn(self, records: Sequence[Record], **how: Any) -> None:
-        """Fit the terms to the first record."""
         super().learn(records, **how)
         first, terms = records[0], () if self.terms is None else (self.terms,)
         y, y_sim = first.y_with_gaps, self._output(first)
@@ -447,7 +428,6 @@ class Calibrated(SimulatorForecaster):
         self.applied = calibrate(y_sim, y, first.sampling_time, *terms)
 
     def describe(self) -> str:
-        """Return the fitted terms."""
         return super().describe() + (first_only(self.fitted) if self.fitted is not None else "")
 
     def _needed(self, samples: int, train: int) -> int:

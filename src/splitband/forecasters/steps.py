@@ -103,11 +103,9 @@ class GivenSteps(Steps):
         self.gain, self.offset = gain, offset
 
     def begin(self, history: ForecastContext | None) -> State:
-        """Return an empty state."""
         return {}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the output."""
         return state, y_sim[0] * self.gain + self.offset
 
 

@@ -85,10 +85,7 @@ class Predictor(NamedTuple):
 
 
 def with_outputs(runs: Sequence[Signals], instead: Sequence[Array] | None = None) -> list[Signals]:
-    """Return records with their outputs as further inputs; gaps take the values of `instead`.
-
-    By default gaps are interpolated.
-    """
+    """Return records with outputs as further inputs, with `instead` (or a line) in gaps."""
     seen = [np.where(run.measured > 0, run.y, np.nan) for run in runs]
     instead = [np.apply_along_axis(filled, 1, y) for y in seen] if instead is None else instead
     return [
@@ -207,8 +204,6 @@ def _lagged(runs: Sequence[Signals], past: int) -> Array:
 class _PredictorSubspace(NamedTuple):
     """The range of the predictor's observability matrix.
 
-    Attributes
-    ----------
     subspace : The range, by the responses of an ARX model.
     response : Of all future samples to the last outputs.
     scale : RMS errors of the ARX model, `(ny,)`.
@@ -220,10 +215,7 @@ class _PredictorSubspace(NamedTuple):
 
     @classmethod
     def of(cls, runs: Sequence[Signals]) -> _PredictorSubspace | None:
-        """Return the subspace of records with their outputs as inputs; None for short ones.
-
-        The past of the ARX model is that of the best AIC.
-        """
+        """Return the subspace, with the past of the best AIC; None for short records."""
         ny, inputs, past = len(runs[0].y), len(runs[0].u), _past(runs, _EACH)
         if past < 2 or len(rows := _lagged(runs, past)) < 2 * past * inputs:
             return None

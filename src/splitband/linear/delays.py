@@ -128,8 +128,6 @@ class Units:
 class Delays(NamedTuple):
     """Delays by output and input in samples, `(ny, nu)`.
 
-    Attributes
-    ----------
     taken : Delays accepted on held-out samples, else 0.
     doubted : Rejected delays with the best fit, else 0.
     errors : Standard errors of the accepted delays, else 0: by the curvature of the likelihood of
@@ -161,10 +159,7 @@ def delays_of(records: Sequence[tuple[Array, Array]]) -> Delays:
 
 
 def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
-    """Return the least delays by input in samples.
-
-    `records` are pairs of `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)`.
-    """
+    """Return the least delay by input in samples, from pairs of y and u, `(time, n)`."""
     return tuple(delays_of(records).taken.min(axis=0).tolist())
 
 
@@ -214,10 +209,7 @@ def _compared(
 def _one_delay(
     cost: Callable[[int], float], first: Sequence[int], longest: int, samples: int
 ) -> tuple[int, float]:
-    """Return the delay with the least `cost`, a negative log-likelihood per sample, and its error.
-
-    The search begins at first estimates; the gain of a further parameter does not count.
-    """
+    """Return the delay of the least `cost`, a negative log-likelihood per sample, and its error."""
     best, little = min((*first, 0), key=cost), np.log(samples) / (2 * samples)
     for step in (8, 4, 2, 1):
         while not current().over:
@@ -316,10 +308,7 @@ def _acts_before(
 
 
 def explains(tested: Array, targets: Array, others: Array) -> bool:
-    """Return whether tested regressors explain a target beside other ones, `(rows, any)`.
-
-    By an F test, and at least a share `_EFFECT` of the other regressors' residual.
-    """
+    """Return whether tested regressors explain targets beside others: an F test, and `_EFFECT`."""
     data = np.hstack([others, tested, targets])
     count, both = tested.shape[1], others.shape[1] + tested.shape[1]
     freedom = len(data) - both

@@ -80,8 +80,6 @@ def identified(
 ) -> LinearModel:
     """Return the linear model of records.
 
-    Parameters
-    ----------
     records : Pairs of `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)`, with separate initial
         states.
     order : Number of poles, for every group of outputs with different delays; by default chosen.

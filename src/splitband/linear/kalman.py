@@ -66,10 +66,7 @@ def states(a: Array, forced: Array, first: Array) -> Array:
 
 
 def kalman_gain(a: Array, c: Array, q: Array, r: Array) -> Array:
-    """Return the stationary gain for noise of covariance q of the state and r of the output.
-
-    Raises LinAlgError without a stationary filter.
-    """
+    """Return the stationary gain for noise of covariance q of the state and r of the output."""
     with np.errstate(all="ignore"):
         p = scipy.linalg.solve_discrete_are(a.T, c.T, q, r)
     return np.asarray(a @ p @ c.T @ np.linalg.pinv(c @ p @ c.T + r))
@@ -82,10 +79,7 @@ def root_of(covariance: Array) -> Array:
 
 
 def whitening(visited: Array) -> tuple[Array, Array]:
-    """Return T and its inverse: T x is white, of mean square 1, for the states x in `visited`.
-
-    T is the unit matrix for states of an unstable model beyond the range of numbers.
-    """
+    """Return T, with T x white of mean square 1 for the `visited` states x, and its inverse."""
     unit = np.eye(visited.shape[1])
     if not np.isfinite(visited).all():
         return unit, unit
@@ -192,10 +186,7 @@ def most_probable(information: Array, towards: Array, usual: Array) -> Array:
 
 
 def responses(a: Array, c: Array, root: Array, time: int) -> Array:
-    """Return the responses of the outputs to columns of `root`, `(time, ny, columns)`.
-
-    Decayed responses end early.
-    """
+    """Return the outputs' responses to columns of `root`, `(time, ny, columns)`, until decayed."""
     rows, power = c[None], a
     while len(rows) < time:
         later = rows @ power

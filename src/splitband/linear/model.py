@@ -34,8 +34,6 @@ class LinearModel:
 
     u are the inputs after their delays, in the columns of `taps`; e is white noise.
 
-    Attributes
-    ----------
     a, b, c, d : A `(n, n)`, B `(n, taps)`, C `(ny, n)` and D `(ny, taps)`, in the record's units.
     offset : `(ny,)`.
     drift : Constant flow into integrators, `(n,)`.
@@ -224,8 +222,6 @@ class LinearModel:
         Up to the end of `y`, samples are predicted one step ahead; later ones are simulated. The
         covariance `(n, n)` is due to the unknown initial state.
 
-        Parameters
-        ----------
         u : Inputs from the first sample on, `(time, nu)`.
         y : The first samples, `(any time, ny)`, NaN in gaps.
         before : For a record that continues the training record, the inputs from the first training
@@ -311,10 +307,7 @@ class LinearModel:
         return predictions, x, information, towards, answers
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C and D with delays, for deviations from `mean` and the offsets.
-
-        The states are the model's states, then the delayed inputs.
-        """
+        """Return A, B, C and D; states of delayed inputs follow those of the model."""
         longest = [max((d for i, d in self.taps if i == j), default=0) for j in range(self.nu)]
         n, size = self.order, self.order + sum(longest)
         begin = n + np.cumsum([0, *longest])
@@ -444,8 +437,6 @@ class Realisation(NamedTuple):
 
     The inputs u_n are in the record's units.
 
-    Attributes
-    ----------
     a, b, c, d : `(states, states)`, `(states, nu)`, `(ny, states)` and `(ny, nu)`.
     drift, offset : `(states,)` and `(ny,)`.
     states : State trajectories by record, `(time, states)`.

@@ -56,10 +56,7 @@ _EXACT = 1e-10
 
 
 class Signals(NamedTuple):
-    """A record for a fit: inputs `(nu, time)`, outputs `(ny, time)` with 0 in gaps.
-
-    `measured` `(ny, time)` is 0 in gaps, else 1.
-    """
+    """Inputs `(nu, time)`, outputs `(ny, time)` with 0 in gaps, and where they are `measured`."""
 
     u: Array
     y: Array
@@ -70,8 +67,6 @@ class Signals(NamedTuple):
 class Blocks:
     """The parameters of all blocks.
 
-    Attributes
-    ----------
     a : `(blocks, 2)`.
     b : `(blocks, 2, nu)`.
     c : `(blocks, ny, 2)`.
@@ -233,8 +228,6 @@ def blocks_of(  # noqa: PLR0913
 ) -> Blocks:
     """Return the blocks of a system with the poles of A.
 
-    Parameters
-    ----------
     a, c : `(states, states)` and `(ny, states)`.
     direct : Whether an input has feedthrough, `nu` flags.
     integrators : Number of poles set to 1: the nearest real ones.
@@ -298,8 +291,6 @@ def _second_order(poles: Array, vectors: Array) -> tuple[tuple[float, float], Ar
 class Solution:
     """Fitted blocks.
 
-    Attributes
-    ----------
     blocks : The system.
     first : Initial states by record, `(blocks, 2)`.
     errors : Errors by record, `(ny, time)`, 0 in gaps.
@@ -327,8 +318,6 @@ class Solution:
 class Equations:
     """The normal equations N step = g of a part of the samples.
 
-    Attributes
-    ----------
     n, g : `(values, values)` and `(values,)`, of the parameters.
     states : By record, the rows of N and g for initial states: products with the parameters,
         products of states, and g.
@@ -459,10 +448,7 @@ def by_segment(
 def solved(
     system: Equations, damping: float, usual: Equations | None = None
 ) -> tuple[Array, dict[int, Array]]:
-    """Return the steps of the parameters and of the initial states by record.
-
-    `usual`: equations of more samples. Directions determined by these alone hardly move.
-    """
+    """Return the steps of parameters and initial states; `usual` are equations of more samples."""
     like = system if usual is None else usual
     n, g, inner = system.n.copy(), system.g.copy(), {}
     for record, (cross, square, slope) in system.states.items():
@@ -509,10 +495,7 @@ def stepped(
 
 
 def refined(at: Solution, runs: Sequence[Signals], iterations: int, limit: float = 1.0) -> Solution:
-    """Return the locally best system, with complex poles below `limit` in absolute value.
-
-    At the deadline, return the best one so far.
-    """
+    """Return the locally best system, or the best so far at the deadline."""
     samples = sum(float(run.measured.sum()) for run in runs) / len(at.scale)
     damping, free = 1e-4, at.blocks.free
     for _ in range(iterations):
@@ -538,10 +521,7 @@ def refined(at: Solution, runs: Sequence[Signals], iterations: int, limit: float
 
 
 def begun(blocks: Blocks, runs: Sequence[Signals]) -> Solution:
-    """Return the unchanged system, with initial states fitted to the records' first samples.
-
-    The cost is a simulation of the records, of any length.
-    """
+    """Return the unchanged system with initial states fitted to the records' first samples."""
     samples, free = MOST_SAMPLES // len(runs) + 1, np.zeros(len(blocks.values), bool)
     some = [Signals(*(signal[:, :samples] for signal in run)) for run in runs]
     at = evaluated(blocks, some, [np.zeros((len(blocks.a), 2)) for _ in runs])

@@ -83,8 +83,6 @@ distinguishable from a sustained vibration, and would respond to all later input
 class OrderCandidate:
     """A fitted model.
 
-    Attributes
-    ----------
     solution : The model.
     power : Held-out mean squared error by segment and output, NaN without measurements.
     integrators : Number of poles fixed at 1.
@@ -120,8 +118,6 @@ class OrderCandidate:
 class OrderSearch:
     """The search for the order of a model of some outputs.
 
-    Attributes
-    ----------
     runs : The records, normalised.
     direct : Whether an input has feedthrough, `nu` flags.
     integrators : The number of integrators, or None to choose it.
@@ -214,10 +210,7 @@ class OrderSearch:
         return self.of_order(order) or self.of_order(least) or self._constant()
 
     def best(self) -> OrderCandidate:
-        """Return the model of the chosen order.
-
-        The search goes from the order with the best information criterion to smaller ones.
-        """
+        """Return the model of the chosen order, from the best by BIC to smaller ones."""
         first = self.first()
         if not (grid := self._grid):
             return first
@@ -341,10 +334,7 @@ class OrderSearch:
                 yield space.matrices(order)
 
     def _with_integrators(self, order: int, count: int) -> OrderCandidate | None:
-        """Return the refined model with `count` poles at 1 and a constant flow into them.
-
-        Two integrators are a chain or, with several outputs, parallel.
-        """
+        """Return the refined model with `count` poles at 1 and a constant flow."""
         runs, direct = with_constant(self.runs), [*self.direct, False]
         starts = []
         for a, c in self._matrices(order):

@@ -29,8 +29,6 @@ _WINDOWS = 1.2
 class Subspace:
     """The range of the observability matrix, for all orders.
 
-    Attributes
-    ----------
     vectors : Directions of the range, `(rows * ny, directions)`, the most important first.
     values : Singular values of the directions.
     ny : Number of outputs.

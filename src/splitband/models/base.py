@@ -40,8 +40,6 @@ class Signals:
 class Task:
     """The training of one network.
 
-    Attributes
-    ----------
     name : For messages and loss curves.
     network : The network to train.
     known : Signals to cut windows from, aligned with the record.
@@ -102,8 +100,6 @@ class Model(nn.Module, ABC):
 
         The first component includes the record's mean.
 
-        Parameters
-        ----------
         y_warmup : Measured samples `(R, ny)`.
         steps : Number of samples to simulate.
         u : Known inputs over warm-up and simulation, `(R + steps, nu)`.
@@ -198,8 +194,6 @@ def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
 
     Returns `(..., time, 2 ny)`; the last row acts on no step.
 
-    Parameters
-    ----------
     slow : `(..., time, ny)`.
     scale : Scale of the slope by channel, `(ny,)`, see `slope_scale`.
     driven : Whether the slow signal may depend on known inputs.
@@ -209,10 +203,7 @@ def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
 
 
 def value_and_slope(signal: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
-    """Return a signal and its scaled slope, `(..., time, 2 ny)`.
-
-    Arguments as for `conditioning`.
-    """
+    """Return a signal and its scaled slope, `(..., time, 2 ny)`; see `conditioning`."""
     return torch.cat([signal, _slope(signal, driven) / scale.to(signal)], dim=-1)
 
 
@@ -235,10 +226,7 @@ def concat_inputs(u: Tensor | None, extra: Tensor) -> Tensor:
 
 
 def slope_scale(slow: Sequence[Tensor], driven: bool = False) -> Tensor:
-    """Return the slope's standard deviation by channel of records `(time, ny)`; 1 if constant.
-
-    `driven` as for `conditioning`.
-    """
+    """Return the slope's standard deviation by channel of records `(time, ny)`; 1 if constant."""
     spread = torch.cat([_slope(of_record.double(), driven) for of_record in slow]).std(dim=0)
     return torch.where(spread > 0, spread, torch.ones_like(spread))
 
@@ -254,10 +242,7 @@ def _slope(x: Tensor, backward: bool) -> Tensor:
 
 
 def inputs_of(cell: Cell, extra: int, feedthrough: bool) -> int:
-    """Return the number of a model's inputs: its network's without the `extra` ones.
-
-    Raises ValueError for a network with too few, or with feedthrough an odd number.
-    """
+    """Return the number of a model's inputs: its network's without the `extra` ones."""
     nu = cell.nu - extra
     if nu < 0:
         raise InputError(

@@ -25,8 +25,6 @@ class LowBand:
     Inputs act on no earlier sample: the step from n to n + k uses the mean of the k rows up to n,
     as the interpolation from n on needs the sample n + k.
 
-    Attributes
-    ----------
     cell : The network.
     k : Down-sampling.
     at_once : With k = 1: rows of inputs belong to steps, and may include inputs at their ends.
@@ -115,10 +113,7 @@ class SteppedLowBand:
 
 
 def _mean_before(rows: Tensor, k: int, offset: int) -> Tensor:
-    """Return means of the k rows up to every k-th sample from `offset` < k on.
-
-    The first row also stands for earlier ones.
-    """
+    """Return means of the k rows up to every k-th sample; the first row stands for earlier ones."""
     before = rows[:, :1].expand(-1, k - 1 - offset, -1)
     blocks = torch.cat([before, rows], dim=1).transpose(1, 2)
     return nn.functional.avg_pool1d(blocks, k).transpose(1, 2)

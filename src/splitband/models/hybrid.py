@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 class Hybrid(Model):
     """A network and a simulator.
 
-    Parameters
-    ----------
     cell : The network.
     conditioned : The simulator's output, value and slope by channel, is an input of the network:
         2 ny additional inputs. The paper names conditioning as future work.
@@ -111,8 +109,6 @@ class FilteredModel(Hybrid):
     the filter with the first P samples of the training signal; here these are the last P of the
     warm-up, so that a simulation needs no later sample (reproduction/REPORT.md).
 
-    Parameters
-    ----------
     cell : The network of the whole signal; its high band is used.
     pair : One-way filters, with L + H = 1.
     conditioned : See `Hybrid`. The high-pass filter also removes the simulator's effect on the low
@@ -145,10 +141,7 @@ class FilteredModel(Hybrid):
         return {SIMULATOR: _after_warmup(known, steps), NETWORK: network}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Return one task, with the record as the target (paper, Eq. 12, hybrid loss).
-
-        L(simulator) is filtered once, as a whole.
-        """
+        """Return one task, the record (paper, Eq. 12, hybrid loss); L(simulator) filtered once."""
         known = self._low_passed(record)
         return [Task(NETWORK, as_module(self.cell), known, record.y, self._combined)]
 
@@ -215,8 +208,6 @@ class FilteredHighModel(Hybrid):
     after warm-ups of any length. The loss is the error of the sum: the network can correct the
     remains of a drift after the high-pass filter.
 
-    Parameters
-    ----------
     cell : The network.
     pair : One-way filters, with L + H = 1. H should be the steep one: a Butterworth filter of order
         n removes a drift of the simulator up to the power n - 1 of time.

@@ -31,8 +31,6 @@ class SteppedRecurrent(Stepped):
 class Recurrent(Model):
     """One network on the whole band, the paper's baseline (Sec. 4.1).
 
-    Parameters
-    ----------
     cell : The network.
     feedthrough : The step to a sample also uses the inputs at its time: the cell has twice the
         model's inputs, see `base.with_next_input`. The paper has no inputs.

@@ -100,8 +100,6 @@ class SplitModel(Model):
     Known inputs act on no earlier sample: the slow network's step from n to n + k uses the mean of
     the k inputs up to n, with feedthrough and k = 1 also the next input.
 
-    Parameters
-    ----------
     networks : The slow one and the fast one.
     pair : Filters of the bands.
     downsampling : k: the slow network runs on every k-th sample.

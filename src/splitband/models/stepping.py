@@ -39,8 +39,6 @@ class Stepped(ABC):
     def begin(self, y: Array, u: Array, slow: Array) -> Run:
         """Return the run at the last measured sample.
 
-        Parameters
-        ----------
         y, u : The last measured samples, `(R, ny)`, and their inputs, `(R, nu)`.
         slow : A given slow component over these samples, `(R + ahead, ny)`; ignored by models
             without one.
@@ -50,8 +48,6 @@ class Stepped(ABC):
     def advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         """Return the run one sample later, and what it predicts there, `(ny,)`.
 
-        Parameters
-        ----------
         run : At the sample before.
         u : Inputs of the sample before and of the one to predict, `(2, nu)`.
         slow : The slow component over these samples, `(2 + ahead, ny)`.
@@ -141,10 +137,7 @@ class SteppedCell:
 
 
 def filtered(b: Array, a: Array, state: Array, x: Array) -> tuple[Array, Array]:
-    """Return the state `(P, ny)` and the output `(ny,)` of a filter after another sample.
-
-    It is SciPy's transposed direct form II.
-    """
+    """Return the state `(P, ny)` and output `(ny,)` of SciPy's transposed direct form II."""
     y = b[0] * x + state[0]
     moved = np.concatenate([state[1:], np.zeros((1, state.shape[1]))]) if len(state) > 1 else 0.0
     return b[1:, None] * x - a[1:, None] * y + moved, y

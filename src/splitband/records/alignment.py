@@ -25,8 +25,6 @@ NEAR = 0.01
 class Aligned:
     """Hold a signal at the sampling times of another one.
 
-    Attributes
-    ----------
     values : `(samples, n)`.
     note : How it was resampled, in words; empty if its rows were used unchanged.
     """
@@ -41,11 +39,6 @@ def aligned(what: str, values: Array, own: Grid, onto: Grid, smooth: bool = True
     Unless both have time stamps, they are assumed to begin together. The signal is interpolated
     between its samples. At either end it may be half a step of `onto` short, and is held there.
 
-    Raises ValueError if the signal does not cover the times; the message states the time stamps of
-    both.
-
-    Parameters
-    ----------
     what : Name of the signal in messages.
     values : `(time, n)`, all finite, at the times `own`.
     own, onto : Sampling times of the signal, and those to align it to.

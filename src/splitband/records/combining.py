@@ -73,10 +73,7 @@ def join_files(
     expected: float | None,
     missing: tuple[str, ...],
 ) -> tuple[Table, list[str]]:
-    """Return a table with the columns of further files, at the stamps of all; see `read`.
-
-    The notes say by how much the stamps of a file are shifted.
-    """
+    """Return a table with the columns of further files too, see `read`, and what was shifted."""
     files = [join] if isinstance(join, str | os.PathLike) else join
     offsets = dict(files) if isinstance(files, Mapping) else dict.fromkeys(files)
     main, times = _own(table, time_column, expected, "the record")

@@ -158,8 +158,6 @@ def _swinging(speed: Array, rope: Array) -> Array:
 class NamedRecord:
     """Describe a named record.
 
-    Attributes
-    ----------
     make : Returns the record, with the simulator's output as `y_sim` if there is one.
     train : Default number of training samples, as in the paper; None for three quarters.
     """

@@ -45,10 +45,7 @@ def warnings_of(record: Record) -> list[str]:
 
 
 def period_of(x: Array) -> float | None:
-    """Return the period by which an angle or a counter jumps, as its jumps show; None without any.
-
-    Across a jump, the value goes on as it does around it, by less than a quarter of a turn.
-    """
+    """Return the period by which an angle or a counter jumps, as its jumps show; or None."""
     x = x[np.isfinite(x)]
     steps, span = np.diff(x), np.ptp(x) if len(x) > FEW else 0.0
     if not span or np.abs(steps).max() < 0.5 * span:

@@ -99,10 +99,7 @@ class Reading:
 
 
 def of_channels(what: str, given: Mapping[str, Value], names: Sequence[str]) -> dict[str, Value]:
-    """Return values by the names of channels, which may be given without their units.
-
-    Raises ValueError for a name that is not one of `names`.
-    """
+    """Return values by the names of channels, which may be given without their units."""
     if not isinstance(given, Mapping):
         raise InputError(f"{what} must give values by name, got {given!r}")
     found = dict[str, Value]()
@@ -271,10 +268,7 @@ def seconds(record: Record) -> Array:
 def _changed(
     record: Record, change: Callable[[str, str, Array], Array], method: str, **found: Any
 ) -> Record:
-    """Return a record with each column changed, by its field and name; NaN must stay NaN.
-
-    It is the record itself where a method of it has found nothing.
-    """
+    """Return a record with each column changed, or itself where nothing was found."""
     if not any(found.values()):
         return record
     reading, new = _decided(record.reading, method, **found), dict[str, Array]()

@@ -14,10 +14,7 @@ from splitband.runtime.errors import InputError, one_line
 
 @dataclass(frozen=True)
 class PublicFile:
-    """Describe a public record: its path in its repository, its contents and its licence.
-
-    `size` is in bytes, `sampling_time` in seconds.
-    """
+    """Describe a public record; `size` is in bytes, `sampling_time` in seconds."""
 
     name: str
     path: str

@@ -114,10 +114,7 @@ class Even:
         return np.where(beside | (before + after <= self.near), values, np.nan)
 
     def held(self, x: Array) -> Array:
-        """Return an input that is held from stamp to stamp: its mean over the step that begins.
-
-        That is what drives the plant until the next sample; NaN where it is not known.
-        """
+        """Return a held input: its mean over the step that begins; NaN where it is not known."""
         seen = np.isfinite(x)
         own, x, little = self.seconds[seen], x[seen], 1e-6 * self.step
         first = np.searchsorted(own, self.times + little, side="right") - 1
@@ -135,10 +132,7 @@ class Even:
         return self._known(own, np.interp(self.times, own, x[seen]))
 
     def _known(self, own: Array, values: Array) -> Array:
-        """Return values of an input, NaN before its stamps and where some of them are missing.
-
-        Stamps at all distances are those of changes, of which none is missing.
-        """
+        """Return values of an input, NaN before its stamps and where some are missing."""
         steps = np.diff(own)
         usual = float(np.median(steps)) if len(steps) else np.inf
         often = len(steps) > 0 and np.mean(steps <= NEAR * usual) > _OFTEN
@@ -148,19 +142,13 @@ class Even:
         return np.where(unknown, np.nan, values)
 
 
-# ---------------------------------------------------------------- tables
-
-
 def last_of_each(seconds: Array) -> Flags:
     """Return a mask of the last row of each time; the stamps do not decrease."""
     return np.concatenate([np.diff(seconds) > 0, [True]])
 
 
 def offset_of(first: Array, x: Array, second: Array, z: Array) -> float:
-    """Return what to add to the stamps of the second signal so that it repeats the first, in s.
-
-    Raises ValueError for signals that are not alike.
-    """
+    """Return what to add to the stamps of the second signal so that it repeats the first, in s."""
     from scipy import optimize, signal  # noqa: PLC0415  where clocks differ
 
     step = max(own_step(first), own_step(second))

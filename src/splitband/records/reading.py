@@ -12,7 +12,6 @@ from typing import Any, Literal, TypeAlias, get_args, overload
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from splitband.records.columns import (
     NAMELESS,
@@ -363,7 +362,8 @@ def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Recor
         if spaced.grid_rows is not None:
             rows = int(spaced.grid_rows[-1]) + 1
             check_size(8 * rows * len(names))
-            signals = {c: _spread(x, rows, spaced.grid_rows) for c, x in signals.items()}
+            on_grid = pd.DataFrame(signals, spaced.grid_rows).reindex(range(rows))
+            signals = {c: on_grid[c].to_numpy() for c in signals}
         if times is not None and how.time_column is None:
             check_other_clock(table, picked.stamps[-1], step * (rows - 1))
         even = Even.of_rows(rows)
@@ -460,13 +460,6 @@ def _to_fill(
     return held, [c for c in names if c not in held]
 
 
-def _spread(x: Array, rows: int, at: NDArray[np.int_]) -> Array:
-    """Return a column with NaN in the missing rows."""
-    spread = np.full(rows, np.nan)
-    spread[at] = x
-    return spread
-
-
 def _gridded(
     times: Times, signals: Mapping[str, Array], inputs: int, asked: Any
 ) -> tuple[Even, dict[str, Array], float, str]:
@@ -496,10 +489,7 @@ def _gridded(
 
 
 def _spacing(times: Times | None, table: Table, how: _How) -> Spacing | None:
-    """Return the grid of the time stamps; without stamps, the step from the caller or the file.
-
-    None for uneven stamps that are to be put on a grid.
-    """
+    """Return the grid of the stamps, of the caller or of the file; None for uneven stamps."""
     given, fallback = how.sampling_time, how.fallback_sampling_time
     if times is not None and how.step is not None:
         try:

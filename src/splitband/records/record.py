@@ -420,11 +420,7 @@ def require_records(what: str, *given: Any) -> None:
 
 
 def check_alike(other: Record, record: Record, name: str) -> None:
-    """Check that another record, called `name` in messages, can be of the same system.
-
-    Raises ValueError if the number, names or order of channels or inputs differ, or the units
-    (`Reading`), or the sampling time by more than 1 %. Default names match any others.
-    """
+    """Check that another record, called `name` in messages, can be of the same system."""
     if (other.ny, other.nu) != (record.ny, record.nu):
         raise InputError(
             f"{name} must have the training record's {record.ny} channel(s) and {record.nu} "

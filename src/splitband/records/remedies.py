@@ -26,10 +26,7 @@ IGNORE = (
 
 
 def remedy(table: Table, names: Sequence[str], read: Reading, usual: str) -> str:
-    """Return what to do about the stamps in columns `names`, which do not increase evenly.
-
-    `usual` is what to do where nothing else is wrong; empty for stamps that do not increase.
-    """
+    """Return what to do about stamps that are not even; `usual` where nothing else is wrong."""
     time, seconds = names[-1], read.seconds
     others = {c: v for c, v in table.items() if c not in names and len(v) == len(seconds)}
     if np.median(np.diff(seconds)) < 0:  # newest first

@@ -36,9 +36,6 @@ class ReadingWarning(UserWarning):
     """Warn that a column is left out, that its meaning was inferred, or that gaps were filled."""
 
 
-# ---------------------------------------------------------------- values
-
-
 def as_float(value: Any) -> float:
     """Return a value as a float; NaN for what is no finite number."""
     try:
@@ -167,10 +164,7 @@ def _words(column: Column) -> dict[str, str]:
 
 
 def category_names(name: str, words: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the columns for the words of a column but the first: "mode=heat".
-
-    Where there are two words, it is the column's own name.
-    """
+    """Return the names of the columns for the words of one but the first: "mode=heat"."""
     return (name,) if len(words) == 2 else tuple(f"{name}={word}" for word in words[1:])
 
 
@@ -198,9 +192,6 @@ def in_file(column: Column, row: int) -> str:
     return f" (line {column.index[row]})" if column.index.name == "line" else ""
 
 
-# ---------------------------------------------------------------- numbers as people write them
-
-
 def number_pattern(decimal: str) -> str:
     """Return the pattern of a number with this decimal sign, thousands separators included."""
     sign, thousands = re.escape(decimal), re.escape(_THOUSANDS[decimal])
@@ -216,9 +207,6 @@ def decimal_sign(cells: pd.DataFrame, separator: str) -> str:
     "0,5" has a decimal comma, "1,234.5" a decimal point, and "1,234" is ambiguous. If all cells of
     the file are ambiguous, the sign counts as decimal sign, unless it separates the columns or its
     column also contains integers without it (999 before 1.006).
-
-    Raises ValueError if cells contradict each other, or if the sign stays ambiguous; the message
-    names columns and cells.
     """
     found: dict[str, str] = {}
     unclear: dict[str, str] = {}
@@ -261,27 +249,18 @@ def plain_numbers(column: Column, decimal: str) -> Column:
     return plain if (values.isna() & plain.notna()).any() else values
 
 
-# ---------------------------------------------------------------- gaps
-
-
 def filled(what: str, values: Array, hold: bool = False) -> tuple[Array, Flags]:
     """Fill values that are not finite; return the result and a mask of finite values.
 
     Both have the shape of `values`, `(time, n)`. A gap is a straight line, or the value before it
     with `hold`; before the first and after the last finite value of a channel that value is held.
-
-    Raises ValueError for a channel without finite values.
     """
     known = np.isfinite(values)
-    index = np.arange(len(values))
-    whole = np.array(values)
-    for channel, seen in enumerate(known.T):
-        if not seen.any():
-            raise InputError(f"{what} must have a finite value in channel {channel}: it has none")
-        held = np.maximum.accumulate(np.where(seen, index, seen.argmax()))
-        at = held if hold else index
-        whole[~seen, channel] = np.interp(at[~seen], index[seen], values[seen, channel])
-    return whole, known
+    if not (some := known.any(axis=0)).all():
+        raise InputError(f"{what} must have a finite value in channel {some.argmin()}: it has none")
+    seen = pd.DataFrame(np.where(known, values, np.nan))
+    whole = seen.ffill().bfill() if hold else seen.interpolate(limit_direction="both")
+    return whole.to_numpy(), known
 
 
 def refilled(y: Array, seen: Array) -> Array:
@@ -355,9 +334,6 @@ def covered(y: Array) -> Flags:
     return np.asarray(known.all(axis=1))
 
 
-# ---------------------------------------------------------------- names
-
-
 def numbered(letter: str, count: int) -> tuple[str, ...]:
     """Return default names of signals: the letter, with a number if there are several."""
     return (letter,) if count == 1 else tuple(f"{letter}{i}" for i in range(count))
@@ -385,10 +361,7 @@ def bare_name(name: str) -> str:
 
 
 def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
-    """Return whether two lists can name the same signals; numbered names match any others.
-
-    Numbered names are the defaults of `Record`, and column positions in a file.
-    """
+    """Return whether two lists can name the same signals; numbered names match any others."""
     if sorted(names) == sorted(others) or len(names) != len(others):
         return tuple(names) == tuple(others)
     return any(all(map(_NUMBERED.fullmatch, each)) for each in (names, others))

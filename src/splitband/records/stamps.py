@@ -147,10 +147,7 @@ def joined(date: Column, time: Column) -> Column:
 
 
 def readings(what: str, name: str, column: Column) -> list[Reading]:
-    """Return what time stamps may mean; one reading if that is certain.
-
-    Raises ValueError for cells that are no time stamps.
-    """
+    """Return what time stamps may mean; one reading if that is certain."""
     if is_timedelta64_dtype(column):
         column = column.dt.total_seconds()
         return [Reading("seconds", numbers(what, column))]

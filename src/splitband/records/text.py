@@ -37,8 +37,6 @@ if pd.__version__ < "3.1":  # newer ones read every digit, and warn of the optio
 class Layout:
     """Hold what a user says of the layout of a file.
 
-    Attributes
-    ----------
     skip_rows : Lines at the top of the file that are left out.
     header_row : Line of the names, from 1; 0 for a file without names; None if it is to be found.
     missing : Words and numbers that stand for missing values.
@@ -69,9 +67,6 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
 
     Numbers have a decimal point or a decimal comma, the same in the whole file, and may have
     thousands separators.
-
-    Raises ValueError for a file without data, for duplicate column names, for rows of different
-    length, and for an ambiguous layout or decimal sign.
     """
     written = re.split("\r\n?|\n", _decoded(raw))
     lines = _without_comments(written, mark_inside=suffix not in (".csv", ".tsv"))
@@ -147,9 +142,6 @@ def check_different(names: Sequence[str]) -> None:
         )
 
 
-# ---------------------------------------------------------------- lines and rows
-
-
 def _decoded(raw: bytes) -> str:
     wide = raw.startswith((b"\xff\xfe", b"\xfe\xff"))
     if b"\0" in raw and not wide:
@@ -210,9 +202,6 @@ def _separator(lines: Sequence[str], layout: Layout) -> str:
         del shares[" "]
     best = max(shares, key=shares.__getitem__)  # the first of equals
     return best if shares[best] >= 0 else ","
-
-
-# ---------------------------------------------------------------- numbers
 
 
 def _with_decimal(text: str, sep: str, names: list[Any]) -> pd.DataFrame:

@@ -58,10 +58,7 @@ def stamp_after(stamp: Stamp, seconds: float) -> Stamp:
 
 
 def seconds_between(first: Stamp, second: Stamp) -> float:
-    """Return how much later the second time stamp is, in s.
-
-    Raises ValueError if only one of them is a date, or only one has a time zone.
-    """
+    """Return how much later the second time stamp is, in s."""
     one: Any = first
     try:
         later = second - one
@@ -90,10 +87,7 @@ def in_words(stamp: Stamp) -> str:
 
 
 def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> Array | pd.DatetimeIndex:
-    """Return the time stamps of rows, counted from `start`, for tables and pictures.
-
-    Seconds are rounded to a millionth of the step: 0.3, not 0.30000000000000004.
-    """
+    """Return the stamps of rows from `start` on; seconds are rounded to a millionth of a step."""
     if isinstance(start, pd.Timestamp):
         return start + pd.to_timedelta(np.rint(1e9 * step * rows).astype(np.int64), unit="ns")
     return np.round(start + step * rows, max(0, 6 - math.floor(math.log10(step))))
@@ -118,8 +112,6 @@ def same_sampling(step: float, other: float, samples: int) -> bool:
 class Grid:
     """Represent a grid of evenly spaced times.
 
-    Attributes
-    ----------
     start : Time stamp of the first sample; None if unknown.
     step : Sampling time in s.
     samples : Number of samples.
@@ -140,9 +132,6 @@ class Grid:
             return f"{self.samples} samples every {self.step:.7g} s"
         end = stamp_after(self.start, (self.samples - 1) * self.step)
         return f"{in_words(self.start)} to {in_words(end)}"
-
-
-# ---------------------------------------------------------------- measured time stamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,9 +189,6 @@ def times_of(
     """Return the times of a column of stamps; `expected` is the sampling time that a user gave.
 
     They are in the columns `names` of a `table`, whose others may tell what is wrong with them.
-
-    Raises ValueError for cells that are not stamps, and for stamps with several readings of
-    different steps, none of which is the expected one.
     """
     found = readings(what, names[0], column)
     newest_first = found[0].step < 0
@@ -234,10 +220,7 @@ def times_of(
 
 
 def spacing(times: Times, gaps: Gaps, expected: float | None) -> Spacing:
-    """Return the even grid that times lie on; `expected` is the sampling time that a user gave.
-
-    Raises ValueError for times that do not increase evenly (`reading.read` states the tolerance).
-    """
+    """Return the even grid that times lie on; `expected` is the sampling time that a user gave."""
     times.check_increasing(gaps=gaps)
     what, stamps = times.what, times.seconds
     rows, cut = np.arange(len(stamps)), _cut_to_units(what, stamps, expected)
@@ -311,10 +294,7 @@ def _line(what: str, stamps: Array, unit: float, grain: float) -> tuple[float, f
 
 
 def _cut_to_units(what: str, stamps: Array, expected: float | None) -> tuple[float, float] | None:
-    """Return the step and the unit of stamps that are cut to units almost as long: 0, 1, 3, 4, 6 s.
-
-    Raises ValueError where few steps are of two units, and so may be missing rows.
-    """
+    """Return step and unit of stamps that are cut to units almost as long: 0, 1, 3, 4, 6 s."""
     steps = np.diff(stamps)
     unit = float(steps.min())
     if not (unit < 1.001 * last_place(stamps) or unit in _RESOLUTIONS):

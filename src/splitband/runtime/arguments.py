@@ -15,10 +15,7 @@ LARGEST_SIZE = 10_000
 
 
 def whole(name: str, value: Any, least: int | None = 1, most: int | None = None) -> int:
-    """Return a whole number as an `int`, including NumPy's integers.
-
-    Raises ValueError, naming the argument, unless `value` is a whole number from `least` to `most`.
-    """
+    """Return a whole number as an `int`, including NumPy's integers."""
     try:
         number = operator.index(value)
     except TypeError:

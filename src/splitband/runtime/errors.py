@@ -12,10 +12,7 @@ class InputError(ValueError):
 
 
 def missing(what: str, package: str, extra: str) -> InputError:
-    """Return the error for a missing optional package, with the command to install it.
-
-    The shells of all systems understand the quotes.
-    """
+    """Return the error for a missing package, with a command for the shells of all systems."""
     return InputError(f'{what} needs {package}: pip install "splitband[{extra}]"')
 
 

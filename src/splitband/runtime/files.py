@@ -79,10 +79,7 @@ def to_json(value: Any) -> str:
 
 
 def output_folder(path: str | Path, argument: str = "folder") -> Path:
-    """Create the folder `path`, and check that it is writable, before long computations.
-
-    Raises ValueError, naming `argument`, for another folder.
-    """
+    """Create the folder `path`, and check that it is writable, before long computations."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)

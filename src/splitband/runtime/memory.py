@@ -38,10 +38,7 @@ def freed_memory_kept() -> Iterator[None]:
 
 
 def return_freed() -> None:
-    """Return the memory of freed arrays to the system, where the C library has kept it.
-
-    From now on that of large ones is returned at once.
-    """
+    """Return the memory of freed arrays to the system; from now on that of large ones at once."""
     libc = system.glibc()
     if libc is not None:
         libc.mallopt(_MMAP_THRESHOLD, _USUAL)

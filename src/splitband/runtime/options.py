@@ -29,10 +29,7 @@ class WithRepr:
 
 
 def options(value: object) -> dict[str, Any]:
-    """Return the constructor arguments of `value`, by name.
-
-    Raises TypeError if an argument is not kept as an attribute, or has no name (*args, **kwargs).
-    """
+    """Return the constructor arguments of `value`, by name."""
     kind: Any = type(value)
     found = {}
     for parameter in _parameters(kind):
@@ -72,10 +69,7 @@ def _parameters(kind: Any) -> tuple[inspect.Parameter, ...]:
 
 
 def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
-    """Return Python code that creates `value`, with the options that differ from their defaults.
-
-    An ellipsis stands for a value without a short expression; a function is given by its name.
-    """
+    """Return Python code that creates `value`; "..." for what has no short expression."""
     own_cell = callable(getattr(value, "sized", None)) and not isinstance(value, type)
     if isinstance(value, WithRepr) or own_cell:
         return _call(value)

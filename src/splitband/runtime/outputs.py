@@ -106,10 +106,7 @@ def finished_comparison(folder: Path) -> str | None:
 
 
 def _replace(folder: Path, new: Path) -> None:
-    """Move the new files over those of the earlier result, results.json last.
-
-    Raises OSError, before anything is moved, for a file in use by another program.
-    """
+    """Move the new files over those of the earlier result, results.json last."""
     files = [path.relative_to(new) for path in new.rglob("*") if path.is_file()]
     names = {file.as_posix() for file in files}
     outdated = files_of_result(folder)
@@ -138,8 +135,6 @@ def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
 
     The operating system releases the lock at any end of the process. File systems without locks
     give no protection.
-
-    Raises ValueError, naming `argument`, for a read-only folder or one in use.
     """
     folder = Path(folder)
     # Unlike `Path.exists`, `os.path.exists` raises no error, not even for too long names.

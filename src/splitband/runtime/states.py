@@ -69,10 +69,7 @@ def by_part(arrays: Arrays) -> dict[str, Arrays]:
 
 
 def rebuilt(hint: Any, arrays: Arrays, name: str) -> Any:
-    """Return the value of an annotation from its arrays; the inverse of `taken_apart`.
-
-    Raises ValueError for arrays of another kind, and the errors of constructors.
-    """
+    """Return the value of an annotation from its arrays; the inverse of `taken_apart`."""
     hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     kind, inner = get_origin(hints[0]), get_args(hints[0])
     if not arrays and (hint is Any or NoneType in hints):

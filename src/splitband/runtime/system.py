@@ -29,9 +29,6 @@ TRIES, _AGAIN = 20, 0.05
 """Attempts to replace a file in use, and seconds between two of them. Bounds the time."""
 
 
-# ---------------------------------------------------------------- processes
-
-
 def available_cores() -> int:
     """Return the number of cores available to this process."""
     if sys.platform == "linux":
@@ -56,10 +53,7 @@ def interrupts_blocked() -> Iterator[None]:
 
 
 def start_resource_tracker() -> None:
-    """Start multiprocessing's resource tracker early, as its start unblocks signals.
-
-    Windows has no tracker: shared resources end with the processes.
-    """
+    """Start multiprocessing's resource tracker early, as its start unblocks signals."""
     if sys.platform != "win32":
         from multiprocessing import resource_tracker  # noqa: PLC0415  it cannot start on Windows
 
@@ -67,10 +61,7 @@ def start_resource_tracker() -> None:
 
 
 def lead_group() -> int:
-    """Make this process the head of a group, and return its number, for `end_group`.
-
-    Windows needs no group: processes know their parents.
-    """
+    """Make this process the head of a group (not needed on Windows); return its number."""
     if sys.platform != "win32":
         os.setsid()
     return os.getpid()
@@ -93,9 +84,6 @@ def glibc() -> ctypes.CDLL | None:
     if sys.platform == "linux" and platform.libc_ver()[0] == "glibc":
         return ctypes.CDLL(None)
     return None
-
-
-# ---------------------------------------------------------------- files
 
 
 def move(source: Path, target: Path) -> None:
@@ -138,9 +126,6 @@ def _is_busy(error: PermissionError) -> bool:
     return getattr(error, "winerror", None) in _BUSY
 
 
-# ---------------------------------------------------------------- commands
-
-
 def quoted(word: str) -> str:
     """Return a word quoted for the shells of this system: bash, or cmd and PowerShell."""
     if sys.platform != "win32":
@@ -165,10 +150,7 @@ def split_command(text: str) -> list[str]:
 
 
 def expanded(words: Sequence[str]) -> list[str]:
-    """Return the words of a command line, with the files in place of patterns such as runs/*.
-
-    The shells of other systems have expanded them already.
-    """
+    """Return the words of a command line; on Windows with the files of patterns (runs/*)."""
     if sys.platform != "win32":
         return [*words]
     matches = [(word, sorted(glob(word)) if {"*", "?"} & {*word} else []) for word in words]

@@ -82,10 +82,7 @@ _ONE_BLAS_THREAD = _OneBlasThread()
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Limit torch to one thread, for small work between calls of the fused kernels.
-
-    Torch's other threads would spin for milliseconds on the cores of the kernels.
-    """
+    """Limit torch to one thread, as others would spin on the cores of the fused kernels."""
     import torch  # noqa: PLC0415  for networks only
 
     count = torch.get_num_threads()
@@ -98,10 +95,7 @@ def one_torch_thread() -> Iterator[None]:
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Seed torch's random numbers in this context, safe from other threads; then restore them.
-
-    Without torch nothing is drawn.
-    """
+    """Seed torch, if there, in this context, safe from other threads; then restore its state."""
     if not has_torch():
         yield
         return

@@ -96,10 +96,7 @@ class Workers(Executor):
 
 
 class _Spawn(SpawnContext):
-    """A context that keeps the locks of a pool until the end of its processes.
-
-    The pool drops its locks before it ends the processes: a starting process would not find them.
-    """
+    """A context that keeps the locks of a pool until its processes, which need them, have ended."""
 
     def __init__(self) -> None:
         self.locks: list[RLock] = []
@@ -213,10 +210,7 @@ def _end_with_parent(folder: str) -> None:
 
 
 def result_of(future: Future[Result], seconds: float | None = None) -> Result:
-    """Return the result of a job, or raise its error; raises TimeoutError after `seconds`.
-
-    Ctrl-C takes effect within a `TICK`: on Windows nothing interrupts a wait.
-    """
+    """Return the result of a job; Ctrl-C takes effect within a `TICK`, on Windows too."""
     until = math.inf if seconds is None else time.monotonic() + seconds
     while not future.done() and (left := until - time.monotonic()) > 0:
         wait([future], min(TICK, left))
@@ -277,8 +271,6 @@ class Queue(Generic[Job, Result]):
     ) -> None:
         """Begin jobs.
 
-        Parameters
-        ----------
         work : A module-level function, or a partial of one: other processes have to import it.
         jobs : Jobs in the order of their starts.
         patience : Deadline of the results; `Workers` then end the job.

@@ -30,11 +30,6 @@ def fit(
     (`runtime.deadlines`) training stops with the current weights; several networks share the
     remaining time equally.
 
-    Raises ValueError for records with other channels than the model, or without a window. Raises
-    FloatingPointError when one network's loss diverges for the fourth time (`MOST_RESTARTS`).
-
-    Parameters
-    ----------
     model : The model, with initial parameters.
     records : The training record, without samples to predict, or several records of one system.
     settings : Training settings; by default `TrainingSettings.of` the shortest record's length.

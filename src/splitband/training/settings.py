@@ -230,10 +230,7 @@ def recipe_settings(
 
 
 def within_reach(settings: TrainingSettings, reach: int | None) -> TrainingSettings:
-    """Return settings whose windows predict at most `reach` samples; None limits nothing.
-
-    Over a longer free run of an unstable plant, errors grow until gradients are useless.
-    """
+    """Return settings whose windows predict at most `reach` samples, where errors stay useful."""
     if reach is None:
         return settings
     return replace(settings, window=min(settings.window, settings.warmup + reach))

@@ -18,8 +18,6 @@ from splitband.training.settings import checked_starts
 class WindowSet:
     """The windows of training records, one record after the other.
 
-    Attributes
-    ----------
     starts : First samples of the windows, counted over all records.
     measured : Mask of the samples in the loss, `(time, ny)`; None for all samples.
     """
@@ -29,10 +27,7 @@ class WindowSet:
 
 
 def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet:
-    """Return all windows within a record with a complete warm-up and a measured sample after it.
-
-    Raises ValueError for a record shorter than a window, and if gaps leave no window.
-    """
+    """Return all windows within a record with a complete warm-up and a measured sample after it."""
     starts = checked_starts(records, window, warmup)
     measured = np.concatenate([~np.isnan(record.y_with_gaps) for record in records])
     return WindowSet(
