@@ -33,15 +33,7 @@ def check(
     out: options.Out = Path("check"),
     device: options.Device = "cpu",
 ) -> None:
-    """Check a saved model on a record: residual tests, stability, responses.
-
-    Prints the fit of a simulation and of predictions 1, N/10 and N samples ahead (--ahead), from
-    many origins with the measurements until each, tests whether the residuals of the simulation
-    still depend on the inputs, and whether they are white noise (99 %), and whether a simulation of
-    ten times the record, with its inputs repeated, stays in range. Names inputs and outputs beyond
-    their range in training. OUT gets results.json, and report.html with plots of all of it and, for
-    a model with inputs, its responses to steps.
-    """
+    """CHECKDOC"""
     model = load(model_dir)
     past = records.history_of(record, "--record", model, files)
     records.with_simulator(model, simulator, past, files)

@@ -33,23 +33,23 @@ def compare(
     cluster: options.Cluster = None,
     skip_done: options.SkipDone = False,
 ) -> None:
-    """Compare models of a record, and recommend one.
+    """Compare models of a record and recommend one.
 
-    Every method is trained on the first --train samples and predicts the rest, and with --test
-    other records. The answer comes first, then a table of fit % and RMSE; --verbose adds why a
-    method is recommended and what each fit has chosen. OUT gets a page to share (report.html),
-    predictions and results.json.
+    Every method is trained on the first --train samples and predicts the rest; with --test, also
+    other records. The command prints the recommended method, then a table of fit % and RMSE.
+    --verbose adds the reasons and what each fit has chosen. OUT contains a page to share
+    (report.html), the predictions and results.json.
 
-    The recommended method is chosen on training samples only: trained on three quarters of them,
-    it predicts the last quarter best. An interval around its forecast should hold 90 % of what is
-    measured.
+    The recommended method is chosen by its held-out error: trained on three quarters of the
+    training samples, it predicts the last quarter best. The interval around its prediction should
+    contain 90 % of the measured samples.
 
-    OUT/model is the recommended method as it was trained, for `splitband simulate`; --refit trains
-    it on the whole record, --train all every method.
+    OUT/model is the recommended model, for `splitband simulate`. --refit trains it again on the
+    whole record.
 
-    How networks are trained is searched round by round until --budget is over: a table after
-    every round, and OUT/model is the best model so far. Ctrl-C stops early and keeps the best so
-    far. --rounds limits the work instead of the time; --window, --epochs, --learning-rate,
+    The training settings of networks are searched round by round until --budget is over. After
+    every round there is a table, and OUT/model is the best model so far. Ctrl-C stops early and
+    keeps it. --rounds limits the work instead of the time. --window, --epochs, --learning-rate,
     --lr-milestones, --recipe constant-rate and --like replace the search. --calibrate and
     --conditioned add methods.
     """

@@ -12,7 +12,6 @@ from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from splitband.cli import clock, printing
@@ -34,7 +33,7 @@ class Display:
     """
 
     def __init__(self, out: Path, facts: dict[str, Any] | None, clock: Clock) -> None:
-        self._out, self._facts, self._table = out, facts, Table()
+        self._out, self._facts, self._table = out, facts, Group()
         self._said, self._clock = "starting", clock
         self._written = False
         self._in_place = in_place() and not printing.console.quiet
@@ -64,7 +63,7 @@ class Display:
                 record = state.plan.record
                 title = f"{record.name}: held-out errors so far"
                 table = of_trial(state.trial, record, state.methods, title)
-                self._table, _ = table.fitting(printing.console.width)
+                self._table = Group(Text(title, "bold"), table.drawn(printing.verbose()))
             self._live.refresh()
         elif state.new_table:
             printing.console.print(str(state))

@@ -39,7 +39,7 @@ class Request:
     train: options.Train = None
     horizon: Annotated[
         int | None,
-        options.plain("Samples of one free run after the training part.", "N", "all", min=1),
+        options.plain("Predict only N samples after the training samples.", "N", "all", min=1),
     ] = None
     ahead: options.Ahead = None
     methods: options.Methods = None
@@ -47,7 +47,8 @@ class Request:
     calibrate: options.Calibrate = False
     conditioned: options.Conditioned = False
     refit: Annotated[
-        bool, options.plain("Fit the recommended method to the whole record for OUT/model.")
+        bool,
+        options.plain("Train the recommended method again, on the whole record, for OUT/model."),
     ] = False
     like: options.Like = None
 

@@ -23,17 +23,21 @@ _TIME = "time (s)"
 def summary(
     folders: Annotated[
         list[Path],
-        typer.Argument(metavar="DIR...", help="Folders that compare wrote.", show_default=False),
+        typer.Argument(
+            metavar="DIR...", help="Result folders of `splitband compare`.", show_default=False
+        ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the rows as .csv or .json.", show_default=False),
+        typer.Option(
+            metavar="FILE", help="Also write the table to a .csv or .json file.", show_default=False
+        ),
     ] = None,
 ) -> None:
-    """Put the results of several comparisons into one table, in the order given.
+    """Put the results of several comparisons into one table, in the given order.
 
-    A folder has a row for each output and test record, with the numbers of the recommended method
-    under the headings of `compare`. An unfinished comparison is named, with what it has so far.
+    Each folder has a row for every output and test record, with the numbers of the recommended
+    method. An unfinished comparison is marked, and has the numbers that it has so far.
     """
     if out is not None and out.suffix not in (".csv", ".json"):
         raise InputError(f"--out must end in .csv or .json, got {out}")

@@ -296,10 +296,8 @@ _INSIDE = (
 )
 _HELD_OUT = "error on the last quarter of the training samples, by models trained on the rest"
 _RMSE = "root mean squared error of the"
-_START = "of the simulation from the first samples to the end of the record"
 _MEDIAN_OF = "how many the median is of; after ±: the standard deviation of their errors"
 _TESTS, _FORECASTS = partial(_errors, "test"), partial(_errors, "forecast")
-_STARTS = partial(_errors, "start")
 COLUMNS = {
     **{
         f"{name} ahead fit %": Quantity("percent", _OF_AHEAD, partial(_ahead, name))
@@ -318,14 +316,10 @@ COLUMNS = {
     "held-out RMSE": Quantity(
         "record", _HELD_OUT, lambda c: [_held_out(c.trial, c.record, c.fits)] if c.trial else []
     ),
-    "RMSE from the start": Quantity("record", _START, partial(_STARTS, channel_rmse)),
-    "fit % from the start": Quantity(
-        "percent", "of the same simulation", partial(_STARTS, fit_percent)
-    ),
     "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
     "trainings": Quantity("count", _MEDIAN_OF, _trainings),
 }
-"""The columns of comparisons by heading; the last ones are missing in a narrow terminal."""
+"""The columns of comparisons by heading."""
 
 
 def of_gains(responses: Sequence[Responses]) -> list[Table]:
