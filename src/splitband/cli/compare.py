@@ -54,7 +54,9 @@ def compare(
     --conditioned add methods.
     """
     if skip_done and (done := finished_comparison(out)) is not None:
-        printing.console.print(f"{out} has a finished comparison of {done}: left alone")
+        printing.console.print(
+            f"{out} has a finished comparison of {done} already: nothing is done"
+        )
         printing.facts_of(out)
         return
     result = compared(context, planned(asked, context), out, jobs, cluster)
@@ -79,14 +81,15 @@ def compared(
 def _show(result: Comparison, out: Path, used: Usage) -> None:
     """Print the answer, then the table, then the time; with --verbose the reasons, too."""
     listed, best, say = of_comparison(result), result.recommended, printing.console.print
-    say(f"\nrecommended: {titled(best, listed.label(best))}", style="bold")
+    chosen = ", chosen by held-out error" if len(listed.rows) > 1 else ""
+    say(f"\nrecommended: {titled(best, listed.label(best))}{chosen}", style="bold")
     for predicted, said in words.headline(result):
         say(f"{predicted}: {', '.join(said)}", style="bold")
     if result.model.parameters:
         say(f"parameters: {result.fits[best][0].description}")
     for message in words.warnings(result):
         printing.warn(message)
-    say(f"trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
+    say(f"model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
     # The warnings say why a method has no result.
     printing.table(replace(listed, rows=dict.fromkeys(listed.rows, "")))
     if printing.verbose():

@@ -34,7 +34,7 @@ class Display:
 
     def __init__(self, out: Path, facts: dict[str, Any] | None, clock: Clock) -> None:
         self._out, self._facts, self._table = out, facts, Group()
-        self._said, self._clock = "starting", clock
+        self._said, self._clock = "fitting simple models", clock
         self._written = False
         self._in_place = in_place() and not printing.console.quiet
         console = Console(markup=False, emoji=False) if self._in_place else printing.console
@@ -46,6 +46,7 @@ class Display:
     def shown(self) -> Iterator[Display]:
         """Show it in this context; what was changed in place is removed at the end."""
         if not self._in_place:
+            printing.console.print(self._said)
             yield self
             return
         with self._live:
@@ -132,7 +133,7 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
         ) from None
     with client:
         if not client.nthreads():
-            printing.console.print(f"waiting for a worker of {cluster}; Ctrl-C stops")
+            printing.console.print(f"waiting for a worker of {cluster} (Ctrl-C stops)")
         client.wait_for_workers(1)
         try:
             client.get_versions(check=True)

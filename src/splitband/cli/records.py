@@ -146,6 +146,7 @@ def _read(
     The error for a missing column names those of the model.
     """
     _check_file(path, rule)
+    printing.console.print(f"reading {path}")
     options = _layout(files, model) | {"time_column": files.time_column} | options
     options["gaps"] = files.gaps
     options |= {} if model is None else {"fallback_sampling_time": _step_of(model)}

@@ -11,7 +11,7 @@ from splitband.checks.inspection import unnamed_inputs
 from splitband.cli import options, printing, records
 from splitband.cli.usage import REPLACED_BY_LIKE, command_of, usage
 from splitband.comparison.defaults import default_names
-from splitband.comparison.methods import TRAINED, Sizes, forecasters
+from splitband.comparison.methods import BASES, TRAINED, Sizes, forecasters
 from splitband.comparison.plan import Plan, plan
 from splitband.comparison.request import PlanRequest
 from splitband.forecasters.bands import Bands
@@ -106,6 +106,8 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
         train = len(record)
     elif train is None and not tests and asked.record in RECORDS:
         train = RECORDS[asked.record].train
+    if simulator is not None and simulator not in BASES:
+        printing.console.print(f"running the simulator {simulated.simulator or asked.record}")
     found = plan(
         PlanRequest(
             record,
@@ -139,7 +141,7 @@ def _show_with_inputs(context: typer.Context, record: Record, inputs: list[str])
         given["columns"] = listed([name for name in record.columns if name not in inputs])
     if inputs:
         command = usage(facts["command"], given).asked
-        printing.console.print(f"with inputs:\n    {command}", soft_wrap=True)
+        printing.console.print(f"to use them as inputs:\n    {command}", soft_wrap=True)
 
 
 def _of_model(asked: options.ModelOptions) -> dict[str, Any]:

@@ -21,8 +21,8 @@ from splitband.runtime.arrays import Array
 COVERAGE = 0.9
 """Share of the samples that an interval should cover, 0 to 1. A convention."""
 RULE = (
-    "the lowest is recommended: the held-out RMSE in standard deviations, of several outputs the "
-    f"root of the sum of squares; networks carry a penalty of {100 * WORTH_TRAINING:.0f} %"
+    "the held-out RMSE in standard deviations, of several outputs the root of the sum of squares; "
+    f"networks carry a penalty of {100 * WORTH_TRAINING:.0f} %; the lowest score is recommended"
 )
 """How methods are ranked, in words."""
 FAILED_RATIO = 2.0

@@ -101,10 +101,10 @@ class RunningComparison:
         """Return what is computed now and the best method so far, in a line."""
         if not self.trials:
             return self.doing
-        trial = self.trial
-        best = trial.recommended
-        score = f"score {trial.penalized_score(best):.3g}"
-        return f"{self.doing}; best so far: {self.methods[best].title}, {score}"
+        best, units = self.trial.recommended, self.plan.record.units
+        errors = zip(self.trial.errors[best], units, strict=True)
+        held_out = ", ".join(f"{error:.3g} {unit}".rstrip() for error, unit in errors)
+        return f"{self.doing}; best so far: {self.methods[best].title}, held-out RMSE {held_out}"
 
     def __str__(self) -> str:
         """Return the same with the time that is left."""

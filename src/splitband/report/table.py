@@ -177,7 +177,7 @@ class Table:
             for line in ["", *lines]:
                 cells = [_cell(of, name, line) for of in of_heading.values()]
                 mark = "  " if line else "*" if best else " " * bool(self.recommended)
-                head = _behind(mark, Text(line) if line else label)
+                head = _behind(mark, Text(line) if line else label) if mark else label
                 table.add_row(head, *cells, end_section=bool(lines) and line == lines[-1])
         return table
 
