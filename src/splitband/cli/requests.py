@@ -11,7 +11,7 @@ from splitband.checks.inspection import unnamed_inputs
 from splitband.cli import options, printing, records
 from splitband.cli.usage import REPLACED_BY_LIKE, command_of, usage
 from splitband.comparison.defaults import default_names
-from splitband.comparison.methods import BASES, TRAINED, Sizes, forecasters
+from splitband.comparison.methods import TRAINED, Sizes, forecasters
 from splitband.comparison.plan import Plan, plan
 from splitband.comparison.request import PlanRequest
 from splitband.forecasters.bands import Bands
@@ -51,6 +51,14 @@ class Request:
         options.plain("Train the recommended method again, on the whole record, for OUT/model."),
     ] = False
     like: options.Like = None
+    also: Annotated[
+        list[str] | None,
+        options.plain(
+            "Add a simulation made elsewhere to the table and the page: a file with the columns of "
+            "the record. It is never recommended. May be repeated.",
+            "FILE",
+        ),
+    ] = None
 
 
 def planned(asked: Request, context: typer.Context | None = None, fitting: bool = False) -> Plan:
@@ -101,13 +109,11 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             ("--test", test.test, test.test_simulator),
         )
     )
-    train = len(record) if fitting and asked.train is None else asked.train
-    if train == "all":
+    train = asked.train
+    if train == "all" or (fitting and train is None):
         train = len(record)
     elif train is None and not tests and asked.record in RECORDS:
         train = RECORDS[asked.record].train
-    if simulator is not None and simulator not in BASES:
-        printing.console.print(f"running the simulator {simulated.simulator or asked.record}")
     found = plan(
         PlanRequest(
             record,
@@ -123,6 +129,7 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             conditioned=conditioned,
             seeds=asked.seeds,
             refit=asked.refit,
+            also=[records.elsewhere(file, record, reading) for file in asked.also or ()],
             **_of_model(asked.model),
         )
     )

@@ -162,20 +162,23 @@ class Table:
         for column in self.columns:
             if details or column.heading not in DETAILS:
                 of_heading.setdefault(column.shown, []).append(column)
+        one = all(len({c.line for c in columns}) == 1 for columns in of_heading.values())
+        one = one and len({c.line for c in self.columns if c.line}) == 1  # the title names it
         table = rich.table.Table(box=box, padding=(0, 1, 0, 1) if box else (0, 2, 0, 0))
         table.add_column(self.head, overflow="fold")
         for heading, columns in of_heading.items():
             entries = [c.entry(name) for c in columns for name in self.rows if name in c.values]
-            header = textwrap.fill(heading, max([NARROW, *map(len, entries)]))
             least = max(map(len, " ".join([heading, *entries]).split(" ")))
+            width = max([NARROW, least, *map(len, entries)])
+            header = textwrap.fill(heading, width, break_long_words=False)
             table.add_column(header, justify="right", min_width=least)
         for name in self.rows:
             best = name == self.recommended
             label = Text(titled(name, self.words(name)), "bold" if best else "")
             every = [c for columns in of_heading.values() for c in columns if name in c.values]
-            lines = [*dict.fromkeys(c.line for c in every if c.line)]
+            lines = [] if one else [*dict.fromkeys(c.line for c in every if c.line)]
             for line in ["", *lines]:
-                cells = [_cell(of, name, line) for of in of_heading.values()]
+                cells = [_cell(of, name, of[0].line if one else line) for of in of_heading.values()]
                 mark = "  " if line else "*" if best else " " * bool(self.recommended)
                 head = _behind(mark, Text(line) if line else label) if mark else label
                 table.add_row(head, *cells, end_section=bool(lines) and line == lines[-1])

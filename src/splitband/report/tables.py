@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splitband.checks.model import ModelCheck
 from splitband.checks.responses import Responses
 from splitband.checks.simulator import SimulatorCheck
 from splitband.comparison.methods import NAMES
@@ -40,9 +41,11 @@ def of_comparison(comparison: Comparison) -> Table:
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = " Errors are against the noise-free signal." if record.y_true is not None else ""
     ahead = f", then predicted the next {len(record) - train:,} in one {run_of(record)}"
+    tests = f", then simulated {' and '.join(t.name for t in comparison.tests)}"
     title = (
         f"{_called(record)}: every method was trained on {train:,} samples"
         + (ahead if train < len(record) else "")
+        + (tests if comparison.tests else "")
         + f". {what_was_known(comparison)}{truth}{_from_origins(comparison)}"
     )
     missing = {} if trial is None else trial.without_result
@@ -294,7 +297,7 @@ _AHEAD = (
 )
 _INSIDE = (
     "share of the measured samples after the training part, or of those ahead, in the "
-    f"interval; {percent(COVERAGE)} is ideal; narrow or wide: off by more than chance, or almost all"
+    f"interval; {percent(COVERAGE)} is ideal; narrow, wide: off by more than chance, or nearly all"
 )
 _HELD_OUT = "error on the last quarter of the training samples of models trained on the rest"
 _RMSE = "root mean squared error of the"
@@ -322,6 +325,25 @@ COLUMNS = {
     "trainings": Quantity("count", _MEDIAN_OF, _trainings),
 }
 """The columns of comparisons by heading."""
+
+
+def of_checks(checks: Mapping[str, ModelCheck]) -> Table:
+    """Return the table of checks of several models on one record, by the names of the models."""
+    record = next(iter(checks.values())).record
+    columns = [
+        Column(
+            f"{horizon} fit %",
+            "percent",
+            {n: each.fits[horizon][i] for n, each in checks.items() if horizon in each.fits},
+            channel if record.ny > 1 else "",
+        )
+        for horizon in dict.fromkeys(h for each in checks.values() for h in each.fits)
+        for i, channel in enumerate(record.columns)
+    ]
+    rows = {n: f"{each.outcome}. {' '.join(each.in_words())}" for n, each in checks.items()}
+    labels = {name: titled(name, each.title) for name, each in checks.items()}
+    title = f"{_called(record)}: models on {len(record):,} samples"
+    return Table(title, columns, rows, "model", labels=labels)
 
 
 def of_gains(responses: Sequence[Responses]) -> list[Table]:

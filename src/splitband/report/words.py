@@ -118,7 +118,7 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
     able = [name for name in ranked if name not in trial.left_out] or ranked
     words = [f"Its score is the lowest, {number(trial.penalized_score(best))}"]
     if 1 < len(able) < len(ranked):
-        words[0] += ", of the methods that could simulate the test records"
+        words[0] += ", of the methods that may be recommended"
     if len(able) > 1:
         second = number(trial.penalized_score(able[1]))
         words[0] += f"; that of {called.get(able[1], able[1])} is {second}"
@@ -354,8 +354,8 @@ def _left_out(comparison: Comparison) -> list[str]:
     plan, sentences = comparison.plan, list[str]()
     if comparison.left_out:
         sentences.append(
-            f"Not tested: {', '.join(comparison.left_out)}. They continue the training record, or "
-            "need a simulator of the test record (--test-simulator)."
+            f"Not tested: {', '.join(comparison.left_out)}. Such methods continue the training "
+            "record, or need a simulator of the test record (--test-simulator)."
         )
     choice = plan.bands.choice
     if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
