@@ -218,10 +218,6 @@ def plan(asked: PlanRequest) -> Plan:
         for method in listed
         if search and isinstance(method, Network) and method.settings is None
     }
-    if asked.rounds is not None and not searched:
-        raise InputError(
-            f"rounds must be left out where no training is searched, got {asked.rounds}"
-        )
     budget = asked.budget
     if budget is None and asked.rounds is None and searched:
         budget = BUDGET
