@@ -39,7 +39,7 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.system import quoted
 from splitband.training.settings import recipe_settings
 
-Role = Literal["input", "output", "constant"]
+Role = Literal["input", "output", "constant", "run?"]
 INPUT_NAMES = """
 u in inp input cmd command sp setpoint ref reference target demand force valve heater pump fan
 voltage pwm duty throttle pedal brake steer steering rudder elevator aileron ctrl control controller
@@ -75,7 +75,7 @@ class InspectedColumn:
     Attributes
     ----------
     name : Its name, with the unit in brackets, if any.
-    role : "input", "output" or "constant".
+    role : "input", "output", "constant", or "run?" for one that may number runs.
     reasons : Why, in words: "moves in 50 steps", "leads level", "is named so".
     lowest, highest : Its range.
     missing : Number of samples without a value.
@@ -140,7 +140,7 @@ class Inspection:
         record, found = self.record, dict[str, Any]()
         if record.nu:
             found["inputs"] = [*dict.fromkeys(map(record.reading.column, record.inputs))]
-        if any(column.role == "constant" for column in self.columns):
+        if any(column.role in ("constant", "run?") for column in self.columns):
             found["columns"] = [*record.columns]
         return found if record.measured is None else found | {"gaps": "mask"}
 
@@ -242,7 +242,8 @@ def inspect(
     spectrum, rate = periodogram(record.y, record.sampling_rate), record.sampling_rate
     above = 1 - periodogram(training.y, rate).share_below(bands.cutoff or rate)
     late, beside = _dead_times(record), simulator_check(record, train, bands)
-    said = [*record.warnings(), *([] if beside is None else beside.warnings())]
+    said = [*of_runs(columns), *record.warnings()]
+    said += [] if beside is None else beside.warnings()
     return Inspection(record, columns, late, spectrum.peaks(), train, bands, above, beside, said)
 
 
@@ -279,6 +280,8 @@ def inspected_columns(record: Record) -> tuple[InspectedColumn, ...]:
             roles[name], reasons[name] = "constant", ("has one value",)
         elif name in record.inputs:
             roles[name], reasons[name] = "input", tuple(for_input or ["is given as one"])
+        elif _counts(signals[name]):
+            roles[name], reasons[name] = "run?", ("counts up in steps",)
         elif for_input and acts and not (called & {*OUTPUT_NAMES.split()} and len(for_input) == 1):
             roles[name], reasons[name] = "input", tuple(for_input)
         else:
@@ -303,21 +306,45 @@ def inspected_columns(record: Record) -> tuple[InspectedColumn, ...]:
 
 
 def unnamed_inputs(record: Record) -> tuple[InspectedColumn, ...]:
-    """Return the outputs of a record without inputs that are probably inputs."""
-    if record.nu or record.ny < 2:
+    """Return the outputs of a record that are probably inputs, without inputs, or number runs."""
+    if record.ny < 2 or (record.nu and not any(map(_counts, record.y_with_gaps.T))):
         return ()
-    return tuple(column for column in inspected_columns(record) if column.role == "input")
+    return tuple(
+        c
+        for c in inspected_columns(record)
+        if c.role == "run?" or (c.role == "input" and not record.nu)
+    )
 
 
 def of_unnamed(columns: Sequence[InspectedColumn]) -> list[str]:
     """Return a sentence on likely inputs that are not named, first on those that are clear."""
-    said = []
+    said = of_runs(columns)
+    columns = [column for column in columns if column.role == "input"]
     for how, clear in (("probably", True), ("perhaps", False)):
         found = {c.name: c.reasons for c in columns if c.clear is clear}
         why = ", ".join(f"{name!r} ({', '.join(reasons)})" for name, reasons in found.items())
         way = f"inputs={[*found]} (--inputs {quoted(listed([*found]))})"
         said += [f"{how} inputs, not outputs: {why}; {way} takes them as such"] if found else []
     return said
+
+
+def of_runs(columns: Sequence[InspectedColumn]) -> list[str]:
+    """Return a question on each column that may number runs."""
+    return [
+        f"{c.name!r} counts up from {c.lowest:g} to {c.highest:g}: does it number runs, or act on "
+        f"the system? runs={c.name!r} (--runs {quoted(c.name)}) reads each run as a record of its "
+        f"own, inputs=[{c.name!r}, ...] (--inputs) takes the column as an input"
+        for c in columns
+        if c.role == "run?"
+    ]
+
+
+def _counts(x: Array) -> bool:
+    """Return whether a column holds whole numbers that now and then increase by one."""
+    steps = np.diff(x)
+    few = 0 < np.count_nonzero(steps) <= (1 - HELD) * len(steps)
+    step_test = x[0] == 0 and np.ptp(x) == 1
+    return bool(few and np.isin(steps, (0, 1)).all() and x[0] == np.round(x[0]) and not step_test)
 
 
 def _percent(share: float) -> str:
@@ -419,12 +446,17 @@ def _arranged(record: Record, columns: Sequence[InspectedColumn]) -> Record:
 
 
 def _dead_times(record: Record) -> dict[tuple[str, str], float]:
-    """Return the dead times in s by input and output, from the first samples of a long record."""
+    """Return the dead times in s by input and output, from the first samples of a long record.
+
+    One that neither half of them shows counts as none: it stands for a slow or nonlinear response.
+    """
     if record.u is None:
         return {}
-    some = record[:DEAD_TIME_ROWS]
-    assert some.u is not None
-    delays = delays_of([(some.y_with_gaps, some.u)]).taken
+    y, u = record.y_with_gaps[:DEAD_TIME_ROWS], record.u[:DEAD_TIME_ROWS]
+    delays, middle = delays_of([(y, u)]).taken, len(y) // 2
+    if delays.any():
+        halves = (delays_of([(y[half], u[half])]) for half in (slice(middle), slice(middle, None)))
+        delays = np.where(np.any([abs(h.taken - delays) <= 1 for h in halves], axis=0), delays, 0)
     return {
         (name, output): max(int(delays[k, j]) - 1, 0) * record.sampling_time
         for j, name in enumerate(record.inputs)

@@ -21,23 +21,40 @@ from splitband.runtime.system import expanded
 
 COMMANDS = {
     "demo": "See what the package does, in about a minute.",
-    "inspect": "Show what a record holds, and the command to run.",
-    "compare": "Compare models of a record, and recommend one.",
+    "inspect": "Show what a record holds and which command to run.",
+    "compare": "Compare models of a record and recommend one.",
     "summary": "Put the results of many records into one table.",
     "forecast": "Forecast beyond the end of a record, with an interval.",
-    "fit": "Train one model on a record and save it.",
-    "simulate": "Predict with a saved model, from a measured history.",
-    "check": "Check a saved model: fit, residual tests, stability, responses.",
-    "export": "Write a saved model as C, as an FMU, as ONNX or for CasADi.",
-    "methods": "List the methods by name, and what each needs.",
-    "data": "List the public records, and download them.",
+    "fit": "Train one method on a record and save the model.",
+    "simulate": "Predict with a saved model from the end of a measured history.",
+    "check": "Check saved models on a record: fit, residuals, stability.",
+    "export": "Export a saved model as C, FMU, ONNX or CasADi.",
+    "methods": "List the methods and what each needs.",
+    "data": "List or download the public records.",
     "doctor": "Check that this machine has what the package needs.",
 }
 """A line about each command; the module of the same name is imported when the command runs."""
 
 
+def _nothing(*_: Any, **__: Any) -> None:
+    """Stand for a type that the help does not show."""
+
+
+def _plain(parameters: list[Any]) -> list[Any]:
+    """Return parameters whose help shows neither the types of switches nor ranges of numbers."""
+    for each in parameters:
+        each._get_number_range_help_str = _nothing
+        if each.param_type_name == "argument" or each.is_flag:
+            each.display_type_rich = _nothing
+    return parameters
+
+
 class LockedCommand(typer.core.TyperCommand):
     """Run a command only if its --out replaces no input and is not in use."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, described plainly."""
+        return _plain(super().get_params(ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
         """Parse the words of the command; an error shows the command that may be meant."""
@@ -69,6 +86,10 @@ class Commands(TyperGroup):
     """List the commands without importing their modules: importing torch takes seconds."""
 
     listing = False
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, described plainly."""
+        return _plain(super().get_params(ctx))
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the commands, in the order in which a new user needs them."""
@@ -123,7 +144,7 @@ def splitband(
     quiet: Annotated[bool, typer.Option(QUIET, help="Print only warnings and errors.")] = False,
     json: Annotated[bool, typer.Option(JSON, help="Print results as JSON only.")] = False,
     verbose: Annotated[
-        bool, typer.Option(VERBOSE, help="Also print reasons, and what each fit has chosen.")
+        bool, typer.Option(VERBOSE, help="Also print reasons and details of each fit.")
     ] = False,
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_print_version)

@@ -33,28 +33,30 @@ def compare(
     cluster: options.Cluster = None,
     skip_done: options.SkipDone = False,
 ) -> None:
-    """Compare models of a record, and recommend one.
+    """Compare models of a record and recommend one.
 
-    Every method is trained on the first --train samples and predicts the rest, and with --test
-    other records. The answer comes first, then a table of fit % and RMSE; --verbose adds why a
-    method is recommended and what each fit has chosen. OUT gets a page to share (report.html),
-    predictions and results.json.
+    Every method is trained on the first --train samples and predicts the rest; with --test, also
+    other records. The command prints the recommended method, then a table of fit % and RMSE.
+    --verbose adds the reasons and what each fit has chosen. OUT contains a page to share
+    (report.html), the predictions and results.json.
 
-    The recommended method is chosen on training samples only: trained on three quarters of them,
-    it predicts the last quarter best. An interval around its forecast should hold 90 % of what is
-    measured.
+    The recommended method is chosen by its held-out error: trained on three quarters of the
+    training samples, it predicts the last quarter best. The interval around its prediction should
+    contain 90 % of the measured samples.
 
-    OUT/model is the recommended method as it was trained, for `splitband simulate`; --refit trains
-    it on the whole record, --train all every method.
+    OUT/model is the recommended model, for `splitband simulate`. --refit trains it again on the
+    whole record.
 
-    How networks are trained is searched round by round until --budget is over: a table after
-    every round, and OUT/model is the best model so far. Ctrl-C stops early and keeps the best so
-    far. --rounds limits the work instead of the time; --window, --epochs, --learning-rate,
+    The training settings of networks are searched round by round until --budget is over. After
+    every round there is a table, and OUT/model is the best model so far. Ctrl-C stops early and
+    keeps it. --rounds limits the work instead of the time. --window, --epochs, --learning-rate,
     --lr-milestones, --recipe constant-rate and --like replace the search. --calibrate and
     --conditioned add methods.
     """
     if skip_done and (done := finished_comparison(out)) is not None:
-        printing.console.print(f"{out} has a finished comparison of {done}: left alone")
+        printing.console.print(
+            f"{out} has a finished comparison of {done} already: nothing is done"
+        )
         printing.facts_of(out)
         return
     result = compared(context, planned(asked, context), out, jobs, cluster)
@@ -79,14 +81,15 @@ def compared(
 def _show(result: Comparison, out: Path, used: Usage) -> None:
     """Print the answer, then the table, then the time; with --verbose the reasons, too."""
     listed, best, say = of_comparison(result), result.recommended, printing.console.print
-    say(f"\nrecommended: {titled(best, listed.label(best))}", style="bold")
+    chosen = ", chosen by held-out error" if len(listed.rows) > 1 else ""
+    say(f"\nrecommended: {titled(best, listed.label(best))}{chosen}", style="bold")
     for predicted, said in words.headline(result):
         say(f"{predicted}: {', '.join(said)}", style="bold")
     if result.model.parameters:
         say(f"parameters: {result.fits[best][0].description}")
     for message in words.warnings(result):
         printing.warn(message)
-    say(f"trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
+    say(f"model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
     # The warnings say why a method has no result.
     printing.table(replace(listed, rows=dict.fromkeys(listed.rows, "")))
     if printing.verbose():

@@ -13,11 +13,13 @@ from splitband.records.named import RECORDS
 
 
 def data(
-    download: Annotated[bool, typer.Option("--fetch", help="Download and check them.")] = False,
+    download: Annotated[
+        bool, typer.Option("--fetch", help="Download the records and check them.")
+    ] = False,
 ) -> None:
-    """List the public records of the paper, each a file of a named record.
+    """List the public records of the paper, which commands know by name.
 
-    They are downloaded when they are first used, or read from SPLITBAND_DATA_DIR.
+    A record is downloaded when it is first used, or read from the folder SPLITBAND_DATA_DIR.
     """
     said = "path" if download else "what"
     table = Table("file", said, "licence", Column("size", justify="right"))

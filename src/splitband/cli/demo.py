@@ -36,14 +36,14 @@ def demo(
     out: options.Out = Path("demo"),
     jobs: options.Jobs = None,
 ) -> None:
-    """Show what the package does, in about a minute: a crane whose load swings.
+    """Show what the package does, in about a minute, on a crane whose load swings.
 
     A trolley carries a load on a rope. The inputs are the commanded speed and the length of the
     rope, the output is the position of the load. The simulator omits the swing. Models are trained
-    on 200 s and simulate the next 200 s: the simulator alone, a network alone, both combined.
+    on 200 s and simulate the next 200 s: the simulator alone, a network alone, and both combined.
 
-    Nothing is downloaded: the record is made on the spot, the same each time. It is also there for
-    the other commands, as `splitband compare overhead-crane`.
+    Nothing is downloaded: the record is computed, and is the same each time. Other commands know
+    it, too: `splitband compare overhead-crane`.
     """
     record = overhead_crane()
     printing.console.print(

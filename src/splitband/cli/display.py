@@ -12,7 +12,6 @@ from typing import Any
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from splitband.cli import clock, printing
@@ -34,8 +33,8 @@ class Display:
     """
 
     def __init__(self, out: Path, facts: dict[str, Any] | None, clock: Clock) -> None:
-        self._out, self._facts, self._table = out, facts, Table()
-        self._said, self._clock = "starting", clock
+        self._out, self._facts, self._table = out, facts, Group()
+        self._said, self._clock = "fitting simple models", clock
         self._written = False
         self._in_place = in_place() and not printing.console.quiet
         console = Console(markup=False, emoji=False) if self._in_place else printing.console
@@ -47,6 +46,7 @@ class Display:
     def shown(self) -> Iterator[Display]:
         """Show it in this context; what was changed in place is removed at the end."""
         if not self._in_place:
+            printing.console.print(self._said)
             yield self
             return
         with self._live:
@@ -64,7 +64,7 @@ class Display:
                 record = state.plan.record
                 title = f"{record.name}: held-out errors so far"
                 table = of_trial(state.trial, record, state.methods, title)
-                self._table, _ = table.fitting(printing.console.width)
+                self._table = Group(Text(title, "bold"), table.drawn(printing.verbose()))
             self._live.refresh()
         elif state.new_table:
             printing.console.print(str(state))
@@ -133,7 +133,7 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
         ) from None
     with client:
         if not client.nthreads():
-            printing.console.print(f"waiting for a worker of {cluster}; Ctrl-C stops")
+            printing.console.print(f"waiting for a worker of {cluster} (Ctrl-C stops)")
         client.wait_for_workers(1)
         try:
             client.get_versions(check=True)

@@ -33,11 +33,11 @@ EXTRAS = {
 
 
 def doctor() -> None:
-    """Show versions, cores, accelerators, the public records, compiled kernels and extras.
+    """Show versions, cores, accelerators, public records, compiled kernels and extras.
 
-    The first call after an installation compiles every kernel on all cores, about a minute of work,
-    so that comparisons begin at once. Public records count as there once `splitband data --fetch`
-    has stored them; nothing is downloaded.
+    The first call after an installation compiles all kernels, which takes about a minute;
+    comparisons then start at once. Nothing is downloaded: `splitband data --fetch` stores the
+    public records.
     """
     found = environment()
     facts = {
@@ -76,12 +76,12 @@ def _state(name: str) -> str:
     """Return whether a public record has been downloaded and is intact; nothing is downloaded."""
     folder = data_folder()
     if not (folder / PUBLIC[name].path).is_file():
-        return "not there: splitband data --fetch"
+        return "not downloaded: splitband data --fetch"
     try:
         fetch(name, folder)
     except (InputError, OSError) as error:
         return str(error)
-    return "there"
+    return "downloaded"
 
 
 def _kernels() -> str:

@@ -29,7 +29,7 @@ def export(
         Path,
         typer.Argument(
             metavar="OUT",
-            help="File to write; its suffix is the format: `.c`, `.fmu`, `.onnx` or `.casadi`.",
+            help="File to write. Its suffix decides the format: `.c`, `.fmu`, `.onnx`, `.casadi`.",
             show_default=False,
         ),
     ],
@@ -39,20 +39,29 @@ def export(
     other_run: OtherRun = False,
     precision: Annotated[
         Literal["double", "float"],
-        typer.Option(help="Of the numbers of C and ONNX; the others compute in double precision."),
+        typer.Option(
+            metavar="double|float", help="Precision of C and ONNX; the others are always double."
+        ),
     ] = "double",
 ) -> None:
-    """Write a saved model as C, as an FMU, as ONNX or for CasADi.
+    """Export a saved model as C, FMU, ONNX or CasADi.
 
-    The exported model runs without Python, one sample at a time: it observes measured samples to
-    estimate its state, and predicts where there are none, with the numbers of `simulate`. C is one
-    source file and a header that need only math.h. An FMU is for co-simulation (FMI 2.0): with the
-    extra `everywhere` for Windows, Linux and macOS, with a C compiler for this platform only; it
-    contains its sources; set the inputs of a sample, read its outputs, then make the step. ONNX is
-    the graph of one step, with a second one of a whole simulation. CasADi is the function of one
-    step, with a second one of the state. It goes on from the end of --history. An equation that
-    --simulator names is integrated in the exported model; any other simulator of a hybrid, and one
-    that is not named, stays outside: its output is an input.
+    The exported model runs without Python, one sample at a time. It estimates its state from
+    measured samples, and predicts where there are none, with the numbers of `simulate`. It starts
+    at the end of the training record, or of --history.
+
+    `.c`: a source file and a header that need only math.h.
+
+    `.fmu`: an FMU for co-simulation (FMI 2.0) with its sources. The extra `everywhere` builds it
+    for Windows, Linux and macOS, a C compiler for this platform only. For each sample, set the
+    inputs, read the outputs, then make the step.
+
+    `.onnx`: a graph of one step, and a second one of a whole simulation.
+
+    `.casadi`: a function of one step, and a second one of the state.
+
+    If the model contains a simulator, name its equation with --simulator to include it. Any other
+    simulator stays outside, and its output becomes an input of the exported model.
     """
     renderer(out)
     forecaster = load(model_dir)

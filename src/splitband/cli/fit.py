@@ -42,27 +42,30 @@ def fit(
     out: Annotated[Path, options.plain("Folder for the model.", "MODEL_DIR")],
     method: Annotated[
         str | None,
-        options.plain("The method to fit; see `splitband methods`.", usual="that of --like"),
+        options.plain(
+            "The method to fit (`splitband methods` lists them).", "NAME", "that of --like"
+        ),
     ] = None,
-    train: Annotated[
-        int | None, options.plain("Samples at the beginning to train on.", usual="all")
-    ] = None,
+    train: Annotated[int | None, options.plain("Train on the first N samples.", "N", "all")] = None,
     ahead: options.Ahead = None,
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
     intervals: Annotated[
         bool,
-        options.plain("Also train on three quarters of the record, for `simulate --level`."),
+        options.plain(
+            "Also calibrate intervals for `simulate --level`; this trains the model a second time."
+        ),
     ] = False,
     jobs: options.Jobs = None,
     like: options.Like = None,
 ) -> None:
-    """Fit one method to a record and save it.
+    """Train one method on a record and save the model.
 
-    The training settings of a network are first searched on the last quarter of the samples, as by
-    `compare`, or taken from the model of --like.
+    The training settings of a network are searched on the last quarter of the samples, as
+    `compare` does, or taken from the model of --like.
 
-    MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
+    MODEL_DIR contains the weights of networks (safetensors), the rest of the model (JSON) and
+    results.json.
     """
     if method is None and like is None:
         raise InputError(

@@ -22,15 +22,17 @@ def forecast(
     reading: options.RecordOptions,
     simulator: options.SimulatorOrBaseOptions,
     further: options.FurtherRecords,
-    steps: Annotated[int, options.plain("Samples to forecast.", min=1)],
+    steps: Annotated[int, options.plain("Number of samples to forecast.", "N", min=1)],
     ahead: options.Ahead = None,
     method: Annotated[
         str | None,
-        options.plain("One of those that `splitband methods` lists.", usual="the best one"),
+        options.plain(
+            "The method to use (`splitband methods` lists them).", "NAME", "the best one"
+        ),
     ] = None,
     seeds: options.Seeds = None,
     jobs: options.Jobs = None,
-    out: Annotated[Path, options.plain("Folder for the forecast.")] = Path("forecast"),
+    out: Annotated[Path, options.plain("Folder for the forecast.", "DIR")] = Path("forecast"),
     future_inputs: options.FutureInputs = None,
     epochs: options.Epochs = None,
     budget: options.Budget = None,
@@ -42,9 +44,9 @@ def forecast(
 ) -> None:
     """Forecast a record beyond its end, with a 90 % interval.
 
-    This is `compare --train all`, followed by a simulation of the recommended method from the end
-    of the record, in OUT/forecast.csv. A simulator must reach --steps samples beyond the record; a
-    record with known inputs needs --future-inputs.
+    The command runs `compare --train all`, then predicts with the recommended method from the end
+    of the record on, and writes OUT/forecast.csv. A record with known inputs needs --future-inputs,
+    and the output of a simulator must reach --steps samples beyond the record.
     """
     model = options.ModelOptions(
         epochs=epochs, budget=budget, rounds=rounds, seed=seed, device=device

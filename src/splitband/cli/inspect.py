@@ -28,24 +28,25 @@ def inspect(
     reading: options.RecordOptions,
     simulator: options.SimulatorOptions,
     train: Annotated[
-        int | None, options.plain("Choose a cut-off on the first N samples.", "N", "three quarters")
+        int | None,
+        options.plain("Choose the cut-off from the first N samples.", "N", "three quarters"),
     ] = None,
     out: Annotated[
-        Path | None, options.plain("Folder for a page with the spectrum, and results.json.", "DIR")
+        Path | None, options.plain("Folder for results.json and a page with the spectrum.", "DIR")
     ] = None,
     cutoff: options.Cutoff = None,
     order: options.Order = None,
 ) -> None:
-    """Show what a record holds, and the command to run.
+    """Show what a record holds and which command to run.
 
-    Prints the columns with their ranges, which of them are likely inputs and why, dead times,
-    warnings, the strongest frequencies, and whether there are two bands to split; then the command
-    that compares models of the record. Nothing is trained. Missing values are masked. Of several
-    runs (--runs) the longest one is shown.
+    The command prints the columns with their ranges, which of them are probably inputs and why,
+    dead times, the strongest frequencies, whether there are two bands to split, and warnings; then
+    the command that compares models of the record. Nothing is trained. Missing values are masked.
+    Of several runs (--runs), the longest one is shown.
 
-    With a simulator, also its coherence with the record and the oracle check: the RMSE that a
-    hybrid could reach at each cut-off. The cut-off is the one that `compare` chooses with the same
-    --train.
+    With a simulator, it also prints the coherence of simulator and record, and the oracle check:
+    the RMSE that a hybrid could reach at each cut-off. The cut-off is the one that `compare`
+    chooses with the same --train.
     """
     reading = replace(reading, gaps="mask")
     runs = records.load_records(record, reading, inputs_by=holds_words)

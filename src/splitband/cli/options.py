@@ -195,7 +195,8 @@ RecordArgument = Annotated[
     str,
     typer.Argument(
         metavar="RECORD",
-        help=f"A CSV, Parquet, NPZ, NPY, MAT or text file, or one of {', '.join(RECORDS)}.",
+        help="The measured record: a CSV, Parquet, NPZ, NPY, MAT or text file, or one of "
+        f"{', '.join(RECORDS)}.",
         show_default=False,
     ),
 ]
@@ -203,15 +204,15 @@ ModelArgument = Annotated[
     Path,
     typer.Argument(
         metavar="MODEL_DIR",
-        help="What `fit`, `compare` or `forecast` wrote.",
+        help="Folder of a model that `fit`, `compare` or `forecast` saved.",
         show_default=False,
     ),
 ]
 Train = Annotated[
     Any,  # int, "all" or None
     panel("Record")(
-        "Train on the first N samples, or on all: methods are then compared by their held-out "
-        "forecasts alone.",
+        "Train on the first N samples and predict the rest. With `all`, methods are compared by "
+        "their held-out errors alone.",
         "N|all",
         "three quarters",
         parser=_training_samples,
@@ -219,41 +220,57 @@ Train = Annotated[
 ]
 History = Annotated[
     Path | None,
-    plain("Measured samples up to now, columns as in training.", "FILE", "the training record"),
+    plain(
+        "Measured samples up to now, with the columns of the training record.",
+        "FILE",
+        "the training record",
+    ),
 ]
 OtherRun = Annotated[
     bool,
-    plain("The history is of another run: compare no time stamps with the training record's."),
+    plain(
+        "The history is from another run: its time stamps are not compared with those of the "
+        "training record."
+    ),
 ]
 FutureInputs = Annotated[
     Path | None,
     panel("Record")(
-        "Planned inputs of the samples to predict, found by their time stamps; without any in both "
-        "files, its first row follows the last sample.",
+        "Planned inputs of the samples to predict. They are found by their time stamps; if both "
+        "files have none, the first row follows the last sample.",
         "FILE",
     ),
 ]
-Calibrate = Annotated[bool, panel("Simulator")("Fit its gain, offset, delay and clock first.")]
+Calibrate = Annotated[
+    bool, panel("Simulator")("Fit the simulator's gain, offset, delay and clock first.")
+]
 Cutoff = Annotated[
     float | None,
-    _FILTER("Cut-off between the two bands; auto chooses it.", "HZ|auto", "auto", parser=_hertz),
+    _FILTER("Cut-off frequency between the two bands.", "HZ|auto", "auto", parser=_hertz),
 ]
 Order = Annotated[
     int | None, _FILTER("Order of each Butterworth filter.", "N", "1 or 2, with the cut-off")
 ]
-Conditioned = Annotated[bool, _FILTER("Give networks the slow band as an input.")]
-Epochs = Annotated[int | None, _TRAINING("Passes over all windows.", "N", "about 1,000 steps")]
-Out = Annotated[Path, plain("Folder for results and page.", "DIR")]
+Conditioned = Annotated[bool, _FILTER("Give networks the prediction of the low band as an input.")]
+Epochs = Annotated[
+    int | None, _TRAINING("Passes over all training windows.", "N", "about 1,000 steps")
+]
+Out = Annotated[Path, plain("Folder for the results and the page.", "DIR")]
 Methods = Annotated[
     str | None,
-    plain("Methods, separated by commas; see splitband methods.", "NAMES", "what suits the record"),
+    plain(
+        "Methods to compare, separated by commas (`splitband methods` lists them).",
+        "NAMES",
+        "what suits the record",
+    ),
 ]
-_SEEDS = "Trainings of each network (in a search: of the best one), for their median."
+_SEEDS = "Train each network N times and predict their median (in a search: the best network)."
 Seeds = Annotated[int | None, _TRAINING(_SEEDS, "N", "1 to 8", min=1)]
 Ahead = Annotated[
     int | None,
     plain(
-        "Make and judge models for N samples ahead of any origin, with measurements until then.",
+        "Train and compare models for predictions N samples ahead, each from the measurements "
+        "until then.",
         "N",
         "one free run",
         min=1,
@@ -261,21 +278,32 @@ Ahead = Annotated[
 ]
 Like = Annotated[
     Path | None,
-    _TRAINING("Read the record and train as for the model of an earlier run.", "DIR"),
+    _TRAINING("Read the record and train with the settings of the model in DIR.", "DIR"),
 ]
-Device = Annotated[str, _TRAINING("Train networks on cpu, cuda, cuda:1, ...", "NAME")]
-Budget = Annotated[str | None, _TIME("Wall time of the whole command: 90s, 10m, 1h.", "TIME", "2m")]
+Device = Annotated[str, _TRAINING("Device that trains networks: cpu, cuda, cuda:1, ...", "NAME")]
+Budget = Annotated[
+    str | None, _TIME("Time limit of the whole command: 90s, 10m, 1h.", "TIME", "2m")
+]
 Rounds = Annotated[
     int | None,
-    _TIME("Rounds of the search, in place of a time: the same in every run.", "N", min=1),
+    _TIME(
+        "Limit the search to N rounds instead of a time: every run gives the same result.",
+        "N",
+        min=1,
+    ),
 ]
-Seed = Annotated[int, _TIME("Of all random numbers.", "N", min=0)]
-Jobs = Annotated[int | None, _TIME("Trainings at once, one on each core.", "N", "all cores", min=1)]
+Seed = Annotated[int, _TIME("Seed of all random numbers.", "N", min=0)]
+Jobs = Annotated[
+    int | None, _TIME("Number of trainings that run in parallel.", "N", "all cores", min=1)
+]
 Cluster = Annotated[
-    str | None, _TIME("Dask scheduler whose workers train: tcp://...:8786.", "ADDRESS")
+    str | None, _TIME("Train on the workers of this Dask scheduler: tcp://...:8786.", "ADDRESS")
 ]
 SkipDone = Annotated[
-    bool, plain("Leave --out alone if it has a finished comparison, of any record and options.")
+    bool,
+    plain(
+        "Do nothing if --out has a finished comparison already, whatever its record and options."
+    ),
 ]
 
 
@@ -284,33 +312,40 @@ class FileOptions:
     """Say how files of samples are read."""
 
     time_column: str | None = _record(
-        "Column of time stamps, seconds or dates; or of dates and of times: DATE,TIME.",
+        "Column of time stamps, in seconds or as dates. For two columns: DATE,TIME.",
         "NAME",
         _TIMES,
     )
-    gaps: Gaps = _record("Refuse missing values and rows, or mask them.", default="refuse")
-    missing: str | None = _record("Words or numbers for a missing value: Bad,-9999.", "WORDS")
+    gaps: Gaps = _record(
+        "Refuse missing values and rows, or mask them.", "refuse|mask", default="refuse"
+    )
+    missing: str | None = _record(
+        "Words or numbers that stand for a missing value: Bad,-9999.", "WORDS"
+    )
     step: Any = _record(  # float, "auto" or None
-        "Put uneven stamps on an even grid, or take means over a longer step; auto: the stamps' "
-        "usual step.",
+        "Interpolate samples at uneven times to this step, or average over it if it is longer. "
+        "`auto` takes the usual step of the record.",
         "SECONDS|auto",
         "as measured",
         parser=_grid_step,
     )
     hold: str | None = _record(
-        "Inputs that keep their value where they have to be filled; others are interpolated.",
+        "Inputs that hold their last value between samples; the others are interpolated.",
         "NAMES",
-        "as they look",
+        "found from the record",
     )
     long: str | None = _record(
-        "The file has one measurement a row: columns of its signal, time stamps and value.",
+        "The file has one measurement in each row: name the columns of signal, time and value.",
         "TAG,TIME,VALUE",
     )
     skip_rows: int = _record(
-        "Lines at the top of a text file to leave out.", "N", False, default=0, min=0
+        "Skip N lines at the top of a text file.", "N", False, default=0, min=0
     )
     header_row: int | None = _record(
-        "Line of a text file with the names, from 1; 0: none.", "N", "found", min=0
+        "Line of a text file that has the column names, counted from 1; 0 if there is none.",
+        "N",
+        "found",
+        min=0,
     )
 
 
@@ -319,33 +354,36 @@ class RecordOptions(FileOptions):
     """Say how records are read, and what they hold."""
 
     columns: str | None = _record(
-        "Measured columns, by name; without names by position from 0.", "NAMES", "all numeric"
+        "Measured outputs: columns by name, or by position from 0 if they have no names.",
+        "NAMES",
+        "all numeric",
     )
-    inputs: str | None = _record("Known inputs: forces, set-points.", "NAMES")
+    inputs: str | None = _record("Known inputs, such as forces and set-points.", "NAMES")
     unwrap: list[str] | None = _record(
-        "Let an angle or a counter go on where it jumps; repeatable.",
+        "Unwrap an angle or a counter that jumps back by a period. May be repeated.",
         "NAME[=PERIOD]",
-        "as it jumps",
+        "period found from the jumps",
     )
     clip_outliers: str | None = _record(
-        "Limit these outputs to five robust deviations from their medians.", "NAMES"
+        "Clip outliers of these outputs: five robust standard deviations around the median.",
+        "NAMES",
     )
     join: list[str] | None = _record(
-        "Put another file of the same run beside it by time stamps, after adding to these; "
-        "repeatable.",
+        "Join another file of the same run by time stamps, to which SECONDS are added. May be "
+        "repeated.",
         "FILE[@SECONDS]",
-        "no offset, or that of a column that both have",
+        "no offset, or the one found from a column that both files have",
     )
     runs: str | None = _record(
-        "Column that numbers several runs in one file, or its time column if that begins again: "
-        "the others are as --more.",
+        "The file has several runs: name the column that numbers them, or the time column if it "
+        "starts again with each run. The first run is the record, the others train like --more.",
         "NAME",
     )
     detrend: bool = _record(
-        "Subtract the means of outputs and inputs; results are without them.", default=False
+        "Subtract the means of outputs and inputs, also from the results.", default=False
     )
     sampling_time: float | None = _record(
-        "Time between samples, if the time column is missing or can mean two things.", "SECONDS"
+        "Time between samples, if the time column is missing or ambiguous.", "SECONDS"
     )
 
 
@@ -353,8 +391,10 @@ class RecordOptions(FileOptions):
 class FurtherRecords:
     """Name other records of the same system, to train on."""
 
-    more: list[str] | None = _record("Train on this record too; may be repeated.", "FILE")
-    more_simulator: list[str] | None = _simulator("Simulator of each --more, in order.", "FILE")
+    more: list[str] | None = _record("Train on this record, too. May be repeated.", "FILE")
+    more_simulator: list[str] | None = _simulator(
+        "The simulator of each --more, in this order.", "FILE"
+    )
 
 
 @dataclass(frozen=True)
@@ -363,18 +403,24 @@ class TestRecords:
 
     __test__ = False  # for pytest: not a test class
 
-    test: list[str] | None = _record("Validate on this record; may be repeated.", "FILE")
-    test_simulator: list[str] | None = _simulator("Simulator of each --test, in order.", "FILE")
+    test: list[str] | None = _record("Validate on this record. May be repeated.", "FILE")
+    test_simulator: list[str] | None = _simulator(
+        "The simulator of each --test, in this order.", "FILE"
+    )
     initial: int | None = _record(
-        "Measured samples at the beginning of a test record.", "N", "the warm-up", min=1
+        "Measured samples at the beginning of a test record from which it is simulated.",
+        "N",
+        "the warm-up",
+        min=1,
     )
 
 
 _SIMULATOR = (
-    "A simulator: an exported trajectory, an .fmu, FILE.py:FUNCTION of time in s or of (time, u), "
-    f"or one of {', '.join(SIMULATORS)}. It is driven by the record's inputs."
+    "A simulator of the plant: a file with its output, an .fmu, FILE.py:FUNCTION with a function "
+    f"of the time in s or of (time, u), or one of {', '.join(SIMULATORS)}. The record's inputs "
+    "drive it."
 )
-_OR_BASE = f"{_SIMULATOR} Or linear, periodic, harmonic: a fitted model."
+_OR_BASE = f"{_SIMULATOR} Or a fitted model in its place: linear, periodic or harmonic."
 
 
 @dataclass(frozen=True)
@@ -383,44 +429,52 @@ class SimulatorOptions:
 
     simulator: str | None = _simulator(_SIMULATOR, "FILE|NAME", "a named record's own")
     simulator_columns: str | None = _simulator(
-        "Its columns or outputs that match --columns.", "NAMES", "of the same names"
+        "The simulator's outputs that match --columns.", "NAMES", "those of the same names"
     )
     simulator_inputs: str | None = _simulator(
-        "Variables of an FMU that take --inputs, in their order, none for one that it does not "
-        'take (a,,c); the others keep their start values, with "" all of them.',
+        "Variables of an FMU that take --inputs, in that order. Leave a place empty for an input "
+        'that the FMU does not have (a,,c). Other variables keep their start values; with "" all '
+        "do.",
         "NAMES",
-        "of the same names",
+        "those of the same names",
     )
     simulator_start: str | None = _simulator(
-        "Its time in s at the record's first sample; record: its stamp.", "SECONDS|record", "0"
+        "The simulator's time at the record's first sample; `record` takes the time stamp.",
+        "SECONDS|record",
+        "0",
     )
     simulator_step: float | None = _simulator(
-        "Step of a co-simulation FMU, which divides the sampling time.", "SECONDS", "as it declares"
+        "Communication step of a co-simulation FMU; it must divide the sampling time.",
+        "SECONDS",
+        "what the FMU declares",
     )
     simulator_hold: Hold | None = _simulator(
-        "How inputs of an equation, or of an FMU for model exchange, run between samples: held "
-        "(zero-order hold), as by a D/A converter, or interpolated.",
+        "Between samples, inputs of an equation or of an FMU for model exchange are held "
+        "(zero-order hold, as by a D/A converter) or interpolated.",
         "zoh|linear",
         "linear",
     )
     simulator_timeout: float = _simulator(
-        "Give up on a simulator after this time.", "SECONDS", default=600.0, min=0.0
+        "Stop a simulator that takes longer than this.", "SECONDS", default=600.0, min=0.0
     )
     parameters: str | None = _simulator(
-        "Fit the simulator's parameters in these ranges, or set them. The simulator is an "
-        "FMU, FILE.py:RHS with a function of (t, x, u, p), whose states begin at x0_1, x0_2, "
-        "... and of which the first ones are measured, FILE.py:FUNCTION of (time, u, p), or an "
-        "sb.Ode of a file, which may have its ranges itself.",
+        "Parameters of the simulator: a range is fitted, a number is set. The simulator is an FMU, "
+        "FILE.py:RHS with a right-hand side (t, x, u, p), FILE.py:FUNCTION with a function of "
+        "(time, u, p), or FILE.py:NAME with an sb.Ode. A right-hand side starts at the states "
+        "x0_1, x0_2, ..., and its first states are the measured ones.",
         "k=0.1:10,c=0.05",
     )
     unknown: list[str] | None = _simulator(
-        "Train an unknown term of these quantities, states x1, x2, ... and columns: "
-        "FILE.py:RHS is a function of (t, x, u, p, w), and w has the term. May be repeated.",
+        "Learn an unknown term of the equation as a function of these states (x1, x2, ...) and "
+        "inputs. FILE.py:RHS is then a function of (t, x, u, p, w), and w is the term. May be "
+        "repeated.",
         "NAMES",
     )
-    unknown_odd: bool = _simulator("Unknown terms are odd, as friction is.", default=False)
+    unknown_odd: bool = _simulator(
+        "Unknown terms are odd functions, as friction is.", default=False
+    )
     unknown_increasing: bool = _simulator(
-        "Unknown terms increase with each quantity.", default=False
+        "Unknown terms increase with each of their arguments.", default=False
     )
 
 
@@ -441,17 +495,23 @@ class ModelOptions:
         "Keep every K-th sample of the low band.", "K", "as the low band allows"
     )
     warmup: int | None = _training(
-        "Measured samples that start a simulation.", "R|auto", "auto, up to 50", parser=_samples
+        "Measured samples from which a simulation starts.", "R|auto", "up to 50", parser=_samples
     )
     window: int | None = _training(
-        "Samples in a training window, warm-up included.", "N", "150 to 400"
+        "Samples in a training window, including the warm-up.", "N", "150 to 400"
     )
     epochs: Epochs = None
-    recipe: Recipe = _training("Training settings where none are given.", default="default")
-    learning_rate: float | None = _training("Highest learning rate of Adam.", "RATE", "1e-2")
-    lr_milestones: str | None = _training("Later rates by epoch: 20:1e-4,500:1e-5.", "LIST")
+    recipe: Recipe = _training(
+        "Training settings that no option gives.", "default|constant-rate", default="default"
+    )
+    learning_rate: float | None = _training("Largest learning rate of Adam.", "RATE", "1e-2")
+    lr_milestones: str | None = _training(
+        "Learning rates from these epochs on: 20:1e-4,500:1e-5.", "EPOCH:RATE,..."
+    )
     hidden: str | None = _training(
-        "Hidden units of fast and slow network; one GRU has their sum.", "HIGH,LOW", "32,16"
+        "Hidden units of the networks for the high and the low band; a single GRU has their sum.",
+        "HIGH,LOW",
+        "32,16",
     )
     budget: Budget = None
     rounds: Rounds = None

@@ -138,14 +138,13 @@ def use_of(used: Usage) -> None:
 
 
 def table(shown: Table) -> None:
-    """Print a table; a narrow terminal leaves out its last columns.
+    """Print a table, and below it what must be said of a row.
 
-    Below it stands what must be said of a row, with --verbose also what its fit has chosen.
+    With --verbose there are more columns, and what each fit has chosen.
     """
-    drawn, left_out = shown.fitting(console.width)
-    console.print(drawn)
-    if left_out:
-        console.print(f"Left out to fit the width: {', '.join(left_out)}.", style="dim")
+    if shown.title:
+        console.print(shown.title, style="bold")
+    console.print(shown.drawn(verbose()))
     for line in shown.remarks(verbose()):
         console.print(line, style="dim")
 

@@ -23,6 +23,7 @@ from splitband.comparison.methods import BASES
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import give_simulator
 from splitband.forecasters.prediction import inputs_after
+from splitband.forecasters.simulation import Simulation
 from splitband.records import Record, read
 from splitband.records.alignment import sampled_like
 from splitband.records.columns import ColumnError
@@ -146,6 +147,7 @@ def _read(
     The error for a missing column names those of the model.
     """
     _check_file(path, rule)
+    printing.console.print(f"reading {path}")
     options = _layout(files, model) | {"time_column": files.time_column} | options
     options["gaps"] = files.gaps
     options |= {} if model is None else {"fallback_sampling_time": _step_of(model)}
@@ -291,6 +293,7 @@ def simulator_of(options: SimulatorOptions, record: Record, time_column: str | N
     fitted |= options.unknown_odd or options.unknown_increasing
     if not fitted and (name is None or name in BASES):
         return name
+    printing.console.print(f"opening the simulator {name}")
     return open_simulator(name or "", record, **_how(options, time_column))
 
 
@@ -306,6 +309,17 @@ def _how(options: SimulatorOptions, time_column: str | None) -> dict[str, Any]:
     if (inputs := options.simulator_inputs) is not None:
         how["inputs"] = names(inputs, blank=True) if inputs.strip() else []
     return how | {"columns": names(options.simulator_columns or ""), "time_column": time_column}
+
+
+def elsewhere(file: str, record: Record, reading: RecordOptions) -> Forecaster:
+    """Return the method that predicts with the simulation of a file."""
+    _check_file(file, "--also must be a file")
+    opened = open_simulator(file, record, time_column=reading.time_column)
+    try:
+        simulated(record, opened)  # so that what is wrong is said at once
+    except InputError as error:
+        raise InputError(f"--also: {error}") from None
+    return Simulation(opened, name=file)
 
 
 def runnable(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:

@@ -39,7 +39,7 @@ class Request:
     train: options.Train = None
     horizon: Annotated[
         int | None,
-        options.plain("Samples of one free run after the training part.", "N", "all", min=1),
+        options.plain("Predict only N samples after the training samples.", "N", "all", min=1),
     ] = None
     ahead: options.Ahead = None
     methods: options.Methods = None
@@ -47,9 +47,18 @@ class Request:
     calibrate: options.Calibrate = False
     conditioned: options.Conditioned = False
     refit: Annotated[
-        bool, options.plain("Fit the recommended method to the whole record for OUT/model.")
+        bool,
+        options.plain("Train the recommended method again, on the whole record, for OUT/model."),
     ] = False
     like: options.Like = None
+    also: Annotated[
+        list[str] | None,
+        options.plain(
+            "Add a simulation made elsewhere to the table and the page: a file with the columns of "
+            "the record. It is never recommended. May be repeated.",
+            "FILE",
+        ),
+    ] = None
 
 
 def planned(asked: Request, context: typer.Context | None = None, fitting: bool = False) -> Plan:
@@ -100,8 +109,8 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             ("--test", test.test, test.test_simulator),
         )
     )
-    train = len(record) if fitting and asked.train is None else asked.train
-    if train == "all":
+    train = asked.train
+    if train == "all" or (fitting and train is None):
         train = len(record)
     elif train is None and not tests and asked.record in RECORDS:
         train = RECORDS[asked.record].train
@@ -120,6 +129,7 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             conditioned=conditioned,
             seeds=asked.seeds,
             refit=asked.refit,
+            also=[records.elsewhere(file, record, reading) for file in asked.also or ()],
             **_of_model(asked.model),
         )
     )
@@ -138,7 +148,7 @@ def _show_with_inputs(context: typer.Context, record: Record, inputs: list[str])
         given["columns"] = listed([name for name in record.columns if name not in inputs])
     if inputs:
         command = usage(facts["command"], given).asked
-        printing.console.print(f"with inputs:\n    {command}", soft_wrap=True)
+        printing.console.print(f"to use them as inputs:\n    {command}", soft_wrap=True)
 
 
 def _of_model(asked: options.ModelOptions) -> dict[str, Any]:

@@ -22,23 +22,25 @@ from splitband.simulators.open_simulator import trajectory
 
 @options.with_groups
 def simulate(
-    out: Annotated[Path, options.plain("Where to write the samples.", "FILE.csv")],
+    out: Annotated[Path, options.plain("File for the simulated samples.", "FILE.csv")],
     simulator: options.SimulatorOptions,
     files: options.RecordOptions,
     model_dir: Annotated[
         Path | None,
         typer.Argument(
             metavar="[MODEL_DIR]",
-            help="What `fit`, `compare` or `forecast` wrote; without it, --record.",
+            help="Folder of a saved model; without it, give --record and --simulator.",
             show_default=False,
         ),
     ] = None,
-    steps: Annotated[int | None, options.plain("Samples to simulate after them.", min=1)] = None,
+    steps: Annotated[
+        int | None, options.plain("Number of samples to simulate.", "N", min=1)
+    ] = None,
     record: Annotated[
         str | None,
         options.plain(
-            "Run --simulator beside this record, in place of a model. What was written is then "
-            "given as --simulator FILE.csv, so that a slow simulator runs once.",
+            "Run --simulator at the samples of this record, in place of a model. Other commands "
+            "then take the file as --simulator FILE.csv, so that a slow simulator runs once.",
             "RECORD",
         ),
     ] = None,
@@ -48,28 +50,30 @@ def simulate(
     level: Annotated[
         float | None,
         options.plain(
-            "Also write the interval that should hold this share of the samples, 0 to 1. The model "
-            "must have been saved with intervals (fit --intervals, compare)."
+            "Also write the interval that should contain this share of the samples, such as 0.9. "
+            "The model must have been saved with intervals (fit --intervals, or compare).",
+            "SHARE",
         ),
     ] = None,
     device: options.Device = "cpu",
 ) -> None:
-    """Simulate a saved model beyond a measured history, or a simulator beside a record.
+    """Predict with a saved model from the end of a measured history.
 
-    The history and --future-inputs are read as they were measured, and are unwrapped, limited,
-    resampled and detrended as the training record was; the outputs are in its units.
+    Give the history and --future-inputs as they were measured: they are unwrapped, clipped,
+    resampled and detrended like the training record. The outputs have its units.
 
-    A model with a simulator also needs --simulator, which must reach --steps samples beyond the
-    history. If training record and history have time stamps, the offset between them is known: a
-    function or an FMU runs from the start of the training record, and periods, trends and a
-    calibrated delay or clock count from there. Otherwise, and with --other-run, both are taken to
-    start together. An exported trajectory must cover the warm-up and the simulation, by its time
-    stamps. The CSV has a column `time`, which continues the time stamps of the history (without
-    any: seconds after its last sample), and one for each output; with --level also the limits of
-    its interval.
+    The CSV file has a column `time` and a column for each output; --level adds the limits of the
+    interval. The time continues that of the history; without time stamps it counts the seconds
+    after the last sample.
 
-    Without a model, --record and --simulator give the simulator's output at the samples of the
-    record, driven by its inputs, and with --steps that of so many samples after it.
+    A model with a simulator also needs --simulator. Its output must reach --steps samples beyond
+    the history; a file must cover the warm-up, too. If the training record and the history have
+    time stamps, a function or an FMU runs from the start of the training record, and periods,
+    trends and a calibrated delay or clock count from there. Otherwise, and with --other-run, both
+    records are assumed to start at the same time.
+
+    Without a model, --record and --simulator write the simulator's output at the samples of the
+    record and, with --steps, at N samples after it.
     """
     if out.is_dir():
         raise InputError(f"--out must be a file, got the folder {out}")

@@ -12,7 +12,6 @@ import typer
 from splitband.cli import printing
 from splitband.report.results import write_csv
 from splitband.report.table import OVER_ALL, Column, Table, Unit
-from splitband.report.tables import COLUMNS
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import write_json
 from splitband.runtime.outputs import FACTS, FORMAT, LOCK, unfinished
@@ -23,34 +22,39 @@ _TIME = "time (s)"
 def summary(
     folders: Annotated[
         list[Path],
-        typer.Argument(metavar="DIR...", help="Folders that compare wrote.", show_default=False),
+        typer.Argument(
+            metavar="DIR...", help="Result folders of `splitband compare`.", show_default=False
+        ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the rows as .csv or .json.", show_default=False),
+        typer.Option(
+            metavar="FILE", help="Also write the table to a .csv or .json file.", show_default=False
+        ),
     ] = None,
 ) -> None:
-    """Put the results of several comparisons into one table, in the order given.
+    """Put the results of several comparisons into one table, in the given order.
 
-    A folder has a row for each output and test record, with the numbers of the recommended method
-    under the headings of `compare`. An unfinished comparison is named, with what it has so far.
+    Each folder has a row for every output and test record, with the numbers of the recommended
+    method. An unfinished comparison is marked, and has the numbers that it has so far.
     """
     if out is not None and out.suffix not in (".csv", ".json"):
         raise InputError(f"--out must end in .csv or .json, got {out}")
-    units: dict[str, Unit] = {_TIME: "seconds"}
+    units: dict[str, Unit] = {}
     rows = [row for folder in dict.fromkeys(folders) for row in _rows(folder, units)]
-    order, said = [*COLUMNS, _TIME], dict[str, str]()
+    said = dict[str, str]()
     values: dict[tuple[str, str], dict[str, float]] = {}
     for row in rows:
         name = f"{row['folder']}: {row['recommended'] or '-'}"
         said[name] = f"unfinished: {row['unfinished']}" if row["unfinished"] else ""
-        line = ", ".join(filter(None, (row["record"], row["output"])))
-        for heading in [each for each in order if each in row]:
+        several = sum(row["folder"] == other["folder"] for other in rows) > 1
+        line = ", ".join(filter(None, (row["record"], row["output"]))) if several else ""
+        for heading in [each for each in units if each in row]:
             of = "" if units[heading] in OVER_ALL else line
             values.setdefault((heading, of), {})[name] = row[heading]
-    keys = sorted(values, key=lambda key: order.index(key[0]))
+    keys = sorted(values, key=lambda key: (units[key[0]] != "percent", [*units].index(key[0])))
     columns = [Column(h, units[h], values[h, line], line, ranked=False) for h, line in keys]
-    printing.table(Table("", columns, said, "folder: recommended", lines="record, output"))
+    printing.table(Table("", columns, said, "folder: recommended"))
     if out is not None:
         if out.suffix == ".csv":
             write_csv(out, pd.DataFrame(rows))
@@ -83,9 +87,12 @@ def _rows(folder: Path, units: dict[str, Unit]) -> list[dict[str, Any]]:
     over_all = {_TIME: facts["time"]["used_seconds"]} if "time" in facts else {}
     lines: dict[tuple[str, str], dict[str, Any]] = {} if table else {(own, ""): {}}
     for column in table:
-        units[column["heading"]] = column["unit"]
+        # What is 12 samples ahead in one folder is 50 in another.
+        heading = f"fit % {column['ahead']} ahead" if "ahead" in column else column["heading"]
+        units[heading] = column["unit"]
         of = column.get("record", own), column.get("channel", "")
         line = over_all if column["unit"] in OVER_ALL else lines.setdefault(of, {})
-        line |= {column["heading"]: column["values"][best]} if best in column["values"] else {}
+        line |= {heading: column["values"][best]} if best in column["values"] else {}
+    units.setdefault(_TIME, units.pop(_TIME, "seconds"))  # it comes last
     kept = {"folder": str(folder), "recommended": best, "unfinished": state}
     return [kept | {"record": r, "output": o} | line | over_all for (r, o), line in lines.items()]

@@ -52,7 +52,14 @@ def command_of(context: typer.Context) -> dict[str, Any]:
 
 def arguments(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of options as JSON can hold them."""
-    return {name: str(v) if isinstance(v, Path) else v for name, v in values.items()}
+    return {
+        name: str(v)
+        if isinstance(v, Path)
+        else [*map(str, v)]
+        if isinstance(v, list | tuple)
+        else v
+        for name, v in values.items()
+    }
 
 
 def corrected(context: typer.Context, given: Sequence[str]) -> list[str]:
@@ -77,6 +84,8 @@ def corrected(context: typer.Context, given: Sequence[str]) -> list[str]:
     except TyperException:
         return []
     missing = [p for p in params if p.required and values.get(p.name) is None]
+    for name in [p.name for p in params if p.nargs < 0 and missing]:  # it takes every file
+        extra = [*extra, *values[name][1:][-1:]]
     if len(extra) > 1 or not (extra or words != given):
         return []
     found: list[list[str]] = [] if missing else [words]
@@ -129,7 +138,8 @@ def usage(
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
     if given.get("test") and "simulator" not in model.needs:
         reading = {name: given.get(name) for name in ("gaps", *_FILES)}
-        checked = checking({**reading, "model_dir": out / MODEL_FOLDER, "record": given["test"][0]})
+        asked_of = {"model_dirs": [out / MODEL_FOLDER], "record": given["test"][0]}
+        checked = checking(reading | asked_of)
         commands.append(("Check it on the test record", checked))
     commands.sort(key=lambda each: "FILE" in each[1])  # those with a placeholder come last
     if "simulator" not in model.needs and not model.parameters:
@@ -144,9 +154,10 @@ def comparing(record: str, given: Mapping[str, Any]) -> str:
 
 def checking(given: Mapping[str, Any]) -> str:
     """Return the command `splitband check` with these options."""
-    model, record = (quoted(str(given[name])) for name in ("model_dir", "record"))
-    names = [name for name in given if name not in ("model_dir", "record")]
-    return _line(f"splitband check {model}", given, names, [f"--record {record}"])
+    models = " ".join(quoted(str(name)) for name in given["model_dirs"])
+    names = [name for name in given if name not in ("model_dirs", "record")]
+    record = quoted(str(given["record"]))
+    return _line(f"splitband check {models}", given, names, [f"--record {record}"])
 
 
 def _python(out: Path, plan: Plan) -> str:

@@ -67,6 +67,7 @@ class Plan:
     simulator : Simulator whose parameters are fitted, for methods without one.
     high : Bands of hybrids with the simulator in the high band.
     without_networks : Whether the default methods lack networks, for want of torch.
+    also : Names of methods that are never recommended.
     train, horizon, ahead, others, initial, budget, rounds, seed, seeds, refit : See `compare`;
         decided.
     """
@@ -93,6 +94,7 @@ class Plan:
     refit: bool = False
     high: Bands = field(default_factory=Bands)
     without_networks: bool = False
+    also: frozenset[str] = frozenset()
 
     @cached_property
     def training(self) -> Record:
@@ -216,14 +218,11 @@ def plan(asked: PlanRequest) -> Plan:
         for method in listed
         if search and isinstance(method, Network) and method.settings is None
     }
-    if asked.rounds is not None and not searched:
-        raise InputError(
-            f"rounds must be left out where no training is searched, got {asked.rounds}"
-        )
     budget = asked.budget
     if budget is None and asked.rounds is None and searched:
         budget = BUDGET
-    complete = (with_defaults(method, decided, low, given, high) for method in listed)
+    every = *listed, *asked.also
+    complete = (with_defaults(method, decided, low, given, high) for method in every)
     planned = Plan(
         record,
         train,
@@ -247,6 +246,7 @@ def plan(asked: PlanRequest) -> Plan:
         refit=asked.refit,
         high=high,
         without_networks=default and not has_torch(),
+        also=frozenset(method.name for method in asked.also),
     )
     check(planned)
     _check_ahead(planned)

@@ -21,8 +21,8 @@ from splitband.runtime.arrays import Array
 COVERAGE = 0.9
 """Share of the samples that an interval should cover, 0 to 1. A convention."""
 RULE = (
-    "the lowest is recommended: the held-out RMSE in standard deviations, of several outputs the "
-    f"root of the sum of squares; networks carry a penalty of {100 * WORTH_TRAINING:.0f} %"
+    "the held-out RMSE in standard deviations, of several outputs the root of the sum of squares; "
+    f"networks carry a penalty of {100 * WORTH_TRAINING:.0f} %; the lowest score is recommended"
 )
 """How methods are ranked, in words."""
 FAILED_RATIO = 2.0
@@ -45,7 +45,7 @@ class Trial:
     trained: frozenset[str] = frozenset()  # methods that are trained: networks
     final: tuple[str, ...] = ()  # methods with a final fit; only these are recommended
     failed: Mapping[str, str] = field(default_factory=dict)  # why methods could not be fitted
-    left_out: frozenset[str] = frozenset()  # unable to simulate test records: a last resort
+    left_out: frozenset[str] = frozenset()  # not recommended, or as a last resort, see `judged`
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)  # errors, for intervals
 
     @property
@@ -64,7 +64,7 @@ class Trial:
         return self.ranked(self.final or self.scores)[0]
 
     def ranked(self, methods: Iterable[str]) -> list[str]:
-        """Return methods, the best one first; those that cannot simulate test records come last."""
+        """Return methods, the best one first; those that are not recommended come last."""
         return sorted(methods, key=lambda name: (name in self.left_out, self.penalized_score(name)))
 
     @property
@@ -97,7 +97,8 @@ def judged(
     `held` and `final` are fits to three quarters of the training part, and to all of it. A
     method that is fitted once for its held-out forecasts, as a network is, may have been lucky.
     Its interval is therefore at least as wide as the change of its forecast by the final fit
-    requires. Forecasts from many origins show by themselves how they vary.
+    requires. Forecasts from many origins show by themselves how they vary. `left_out` are methods
+    that cannot simulate test records, or that the user does not want to be recommended.
     """
     held = {name: fits for name, fits in held.items() if fits}
     forecasts = {name: median_forecasts(fits) for name, fits in held.items()}

@@ -51,6 +51,7 @@ class PlanRequest:
     seeds: int | None = None
     refit: bool = False
     device: str = "cpu"
+    also: Sequence[Forecaster] = ()
 
     def __post_init__(self) -> None:
         require_records("record", self.record)

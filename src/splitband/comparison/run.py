@@ -49,6 +49,7 @@ def compare(  # noqa: PLR0913
     seeds: int | None = None,
     refit: bool = False,
     device: str = "cpu",
+    also: Sequence[Forecaster] = (),
     cores: int = 1,
     executor: Executor | None = None,
     watch: Watch | None = None,
@@ -100,6 +101,8 @@ def compare(  # noqa: PLR0913
         the others are trained once.
     refit : Whether the recommended method is refitted to the whole record at the end.
     device : That networks are trained on: cpu, cuda, cuda:1.
+    also : Methods of the table and the page that are never recommended, such as a simulation made
+        elsewhere: `sb.Simulation(sb.Recorded(y, 0.1), name="mine")`.
     cores : Trainings side by side, each in a process with one thread. With several, a script must
         keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
     executor : Runs the trainings in place of processes of this machine: any executor of

@@ -59,8 +59,12 @@ class RunningComparison:
 
     @property
     def trials(self) -> dict[str, Sequence[Fit]]:
-        """Return the fits to three quarters of the training part, by method."""
-        return {name: state.trial for name, state in self.states.items() if state.trial}
+        """Return the fits to three quarters of the training part, by method.
+
+        There are none before one that may be recommended.
+        """
+        found = {name: state.trial for name, state in self.states.items() if state.trial}
+        return found if found.keys() - self.plan.also else {}
 
     @property
     def finals(self) -> dict[str, list[Fit]]:
@@ -87,7 +91,8 @@ class RunningComparison:
     def trial(self) -> Trial:
         """Return the results on held-out samples so far."""
         if self._trial is None:
-            self._trial = judged(self.plan.training, self.trials, {}, self.failed)
+            given = self.plan.training, self.trials, {}, self.failed, self.plan.also
+            self._trial = judged(*given)
         return self._trial
 
     @property
@@ -101,10 +106,10 @@ class RunningComparison:
         """Return what is computed now and the best method so far, in a line."""
         if not self.trials:
             return self.doing
-        trial = self.trial
-        best = trial.recommended
-        score = f"score {trial.penalized_score(best):.3g}"
-        return f"{self.doing}; best so far: {self.methods[best].title}, {score}"
+        best, units = self.trial.recommended, self.plan.record.units
+        errors = zip(self.trial.errors[best], units, strict=True)
+        held_out = ", ".join(f"{error:.3g} {unit}".rstrip() for error, unit in errors)
+        return f"{self.doing}; best so far: {self.methods[best].title}, held-out RMSE {held_out}"
 
     def __str__(self) -> str:
         """Return the same with the time that is left."""
@@ -121,7 +126,7 @@ class RunningComparison:
         attempts = () if self._search is None else tuple(self._search.attempts)
         found = Comparison(self.plan, self.fits(), None, attempts, self.clock)
         given = self.plan.training, self.trials, found.fits, self.failed
-        return replace(found, trial=judged(*given, frozenset(found.left_out)))
+        return replace(found, trial=judged(*given, self.plan.also.union(found.left_out)))
 
     def result(self) -> Comparison:
         """Return the comparison at the end, with the refit if one is asked for."""
@@ -274,7 +279,7 @@ class RunningComparison:
     def _extend(self, search: Search) -> None:
         """Add a network on the best method, if that is a baseline which can have one on top."""
         several, scores = self.plan.tests or self.plan.others, self.trial.scores
-        best = min(scores, key=lambda name: scores[name])
+        best = min(scores.keys() - self.plan.also, key=lambda name: scores[name])
         # What depends on the time since its training record began is for that record alone.
         if best in BASES and not (several and self.states[best].method.anchored):
             extended = self.plan.on_baseline(best)
@@ -300,7 +305,7 @@ class RunningComparison:
         self._predict_by_trials()
         self.clock.notes += by_reason({name: state.note for name, state in self.states.items()})
         self._note_untrained()
-        if not self.finals:
+        if not self.finals.keys() - self.plan.also:
             reasons = [*by_reason(self.failed), *self.clock.notes]
             raise InputError(f"no method could be fitted; {'; '.join(reasons)}")
         for state in self.states.values():

@@ -30,6 +30,9 @@ CHANCE, SLACK = 1.645, 0.03
 """An interval is narrow or wide where its coverage is off by more than so many standard deviations
 of a binomial share, which one right interval in 20 is to either side, and by more than `SLACK`,
 below which it matters little: by eye."""
+ALMOST_ALL = 0.15
+"""An interval is wide, too, where fewer than this multiple of the samples that may be outside are
+outside, as with 99 % in one of 90 %. By eye."""
 PARTS, BOUNDED = 4, 1.1
 """A signal that does not wander is bounded: its variance is at most `BOUNDED` times the mean
 variance of its `PARTS` parts. One that wanders varies more as a whole than in a part. By eye; the
@@ -112,7 +115,8 @@ class Interval:
             independent = _independent(spread, distinct) if varies else FEWEST
             deviation = np.sqrt(self.share * (1 - self.share) / max(independent, FEWEST))
             least, over = max(CHANCE * deviation, SLACK), coverage - self.share
-            found.append("wide" if over > least else "narrow" if over < -least else "")
+            most = min(least, (1 - ALMOST_ALL) * (1 - self.share))
+            found.append("wide" if over > most else "narrow" if over < -least else "")
         return tuple(found)
 
 

@@ -353,7 +353,10 @@ class Simulation(SimulatorForecaster):
 
     at_once = True
     slow_part = "simulator"
-    _words = "simulator"
+
+    def in_words(self) -> str:
+        """Return its name, or "simulator"."""
+        return self._name or "simulator"
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for wrong records, and for detrended ones beside its own simulator."""

@@ -11,6 +11,7 @@ from pandas.api.types import is_numeric_dtype
 from splitband.records.remedies import Table
 from splitband.records.signals import (
     Column,
+    bare_name,
     categories_of,
     has_number,
     is_text,
@@ -220,7 +221,7 @@ def find(table: Table, wanted: InputNames) -> list[str]:
         if name == NAMELESS and list(table) == ["0"]:
             name = "0"
         keys = [name] if name in table else []
-        bare = [key for key in table if unit_of(key) and key.rpartition(" ")[0] == name]
+        bare = [key for key in table if unit_of(key) and bare_name(key) == name]
         keys = keys or (bare if len(bare) == 1 else [])
         while name not in table and (key := f"{name}[{len(keys)}]") in table:
             keys.append(key)

@@ -10,6 +10,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from splitband.records.signals import row_ranges, stretches
 from splitband.runtime.arrays import Array, Flags
@@ -24,6 +25,8 @@ FEW, STUCK = 10, 20
 """Samples or values that show nothing; samples that have one value by no chance. By eye."""
 APART = 3.0
 """Distance of an outlier from all other values, in their range. By eye."""
+HOUR, SUNDAY = 3600.0, 6
+"""An hour in s, and the day of the week on which clocks are put forward. Convention."""
 REACH, MOST = 20, 20_000
 """Samples between an output and an input that repeats it, by eye; compared ones, for the time."""
 
@@ -41,7 +44,25 @@ def warnings_of(record: Record) -> list[str]:
         zip(record.columns, record.y.T, strict=True), zip(record.inputs, u.T, strict=True)
     ):
         found += _not_an_input(output, y[:MOST], name, v[:MOST])
-    return found
+    return found + _summer_time(record)
+
+
+def _summer_time(record: Record) -> list[str]:
+    """Return a sentence on a missing hour where clocks are put forward, on dates without a zone."""
+    start, step = record.start, record.sampling_time
+    if not isinstance(start, pd.Timestamp) or start.tzinfo is not None or step > HOUR:
+        return []
+    hours = [
+        start + pd.Timedelta(first * step, "s")
+        for first, last in stretches(~record.complete)
+        if abs((last + 1 - first) * step - HOUR) < 0.5 * step
+    ]
+    return [
+        f"an hour is missing at {at}, as where summer time begins: if it does, name the zone of the "
+        "stamps, in pandas tz_localize('Europe/Berlin'), and no sample is missing"
+        for at in hours
+        if at.dayofweek == SUNDAY and at.hour in (1, 2)
+    ]
 
 
 def period_of(x: Array) -> float | None:

@@ -103,10 +103,11 @@ def check_size(size: int) -> None:
 def of_frame(frame: pd.DataFrame) -> Table:
     """Return the columns of a table, including an index that has a name or holds times."""
     if isinstance(frame.index, pd.MultiIndex):
-        level = frame.index.names[0]
+        names = [i if name is None else name for i, name in enumerate(frame.index.names)]
         raise InputError(
-            f"its rows must have one index, not {', '.join(map(repr, frame.index.names))}: "
-            f"table.xs(..., level={level!r}) is one part, table.reset_index() makes columns of all"
+            f"its rows must have one index, not {', '.join(map(repr, names))}: "
+            f"table.xs(..., level={names[0]!r}) is one part, table.reset_index() makes columns of "
+            "all"
         )
     if isinstance(frame.index, pd.PeriodIndex):
         frame = frame.to_timestamp()

@@ -61,10 +61,10 @@ def what_was_known(comparison: Comparison) -> str:
     information += [] if record.y_sim is None else ["the simulator's output"]
     if comparison.tests:
         first = "the first samples of the outputs"
-        return f"Known of a test record: {' and '.join([*information, first])}, not the rest."
+        return f"Models see {', '.join([*information, first])} of a test record, and no others."
     if not information:
-        return "Nothing was known of these samples."
-    return f"Known of these samples: {' and '.join(information)}, not the measured outputs."
+        return "Models see nothing of these samples."
+    return f"Models see {' and '.join(information)} here, not the measurements."
 
 
 def predicted(comparison: Comparison) -> list[Predicted]:

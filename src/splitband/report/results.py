@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -168,17 +168,31 @@ def write_csv(path: Path, table: pd.DataFrame) -> None:
         table.to_csv(new, index=False, lineterminator="\n", compression=None)
 
 
-def save_check(
-    check: ModelCheck,
-    model: Forecaster,
-    responses: Sequence[Responses],
-    facts: Facts,
-    folder: Path,
-    used: Usage,
-) -> None:
-    """Write results.json, with `facts` first, and the page of a check of a model."""
-    page = _page()
-    facts = facts | check.as_json() | {"kind": model.in_words()}
+class Checked(NamedTuple):
+    """A check of a model, the model, and its responses to steps."""
+
+    check: ModelCheck
+    model: Forecaster
+    responses: Sequence[Responses]
+
+
+def save_check(checked: Mapping[str, Checked], facts: Facts, folder: Path, used: Usage) -> None:
+    """Write results.json, with `facts` first, and the page of checks of models by their folders."""
+    every, pages = {name: _check_facts(*each) for name, each in checked.items()}, _page().pages
+    first, *others = checked.values()
+    if others:
+        shown = pages.of_checks({name: each.check for name, each in checked.items()}, used)
+    else:
+        shown = pages.of_check(*first, used)
+    facts = facts | ({"models": every} if others else _check_facts(*first))
+    with staged(folder) as new:
+        _page().write(shown, new / PAGE)
+        write_facts(new, facts | {"environment": environment()})
+
+
+def _check_facts(check: ModelCheck, model: Forecaster, responses: Sequence[Responses]) -> Facts:
+    """Return what results.json says of a check of a model."""
+    facts = check.as_json() | {"kind": model.in_words()}
     for response in responses if model.require_fitted().report.stable else ():
         gains = {
             column: dict(zip(response.inputs, map(float, row), strict=True))
@@ -187,9 +201,7 @@ def save_check(
         facts.setdefault("static_gain", gains)
         at = dict(zip(response.inputs, map(float, response.at), strict=True))
         facts.setdefault("static_gains", []).append({"inputs": at, "gain": gains})
-    with staged(folder) as new:
-        page.write(page.pages.of_check(check, model, responses, used), new / PAGE)
-        write_facts(new, facts | {"environment": environment()})
+    return facts
 
 
 def save_inspection(found: Inspection, facts: Facts, folder: Path, used: Usage) -> None:

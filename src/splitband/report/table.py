@@ -11,16 +11,16 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import StringIO
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import pandas as pd
 import rich.table
 from rich.box import HEAVY_HEAD, Box
 from rich.console import Console
-from rich.measure import Measurement
 from rich.text import Text
 
-from splitband.comparison.recommendation import by_reason
+from splitband.comparison.recommendation import COVERAGE, by_reason
+from splitband.forecasters.base import titled
 from splitband.metrics import tenths
 from splitband.report.numbers import aligned, decimals, number, percent
 from splitband.report.page import template
@@ -30,25 +30,18 @@ Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
 OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
 """Units of numbers over all outputs of a comparison."""
 
-SHOWN = {"forecast fit %": "fit %", "forecast RMSE": "RMSE"}
-"""Displayed headings, below a title with "forecast" or "simulation"."""
-DECISIVE = frozenset({"N ahead fit %", "test fit %", "forecast fit %", "score"})
-"""Headings with the reason for the recommendation, and its quality."""
+SHOWN = {
+    "forecast fit %": "fit %",
+    "test fit %": "fit %",
+    "forecast RMSE": "RMSE",
+    "test RMSE": "RMSE",
+    "in interval": f"inside the {percent(COVERAGE)} interval",
+}
+"""Displayed headings, below a title that says of which samples the numbers are."""
+DETAILS = "score", "fit (s)", "trainings"
+"""Headings that a terminal shows on request."""
 NARROW = 8
 """Smallest width of a heading's line, in characters. Layout."""
-
-
-class _Form(NamedTuple):
-    """The layout in a terminal: place of short names of rows, and largest width of words."""
-
-    names: Literal["beside", "below", ""]
-    width: int
-    narrow: int = 0  # width of outputs, with long words broken; 0 for whole words
-
-
-_BESIDE, _BELOW, _SHORT = _Form("beside", 1000), _Form("below", 40), _Form("", 24, 20)
-_PLAIN = _Form("", 1000)
-"""Form for rows without words beside their names. Layout."""
 
 
 @dataclass(frozen=True)
@@ -75,17 +68,21 @@ class Column:
 
     @property
     def shown(self) -> str:
-        """Return the displayed heading, with the test record."""
-        heading = SHOWN.get(self.heading, self.heading)
-        heading = f"fit % {self.ahead} ahead" if self.ahead else heading
-        return f"{heading} {self.record}".rstrip()
+        """Return the displayed heading, with the unit unless in the channel's name."""
+        shown = SHOWN.get(self.heading, self.heading)
+        shown = f"fit % {self.ahead} ahead" if self.ahead else shown
+        with_unit = self.measure and self.unit == "record" and not self.channel
+        return f"{shown} ({self.measure})" if with_unit else shown
+
+    @property
+    def line(self) -> str:
+        """Return the test record and the channel: the line of a row in a terminal."""
+        return ", ".join(filter(None, [self.record, self.channel]))
 
     @property
     def label(self) -> str:
-        """Return the displayed title, with the unit unless in the channel's name."""
-        shown = f"{self.shown}, {self.channel}" if self.channel else self.shown
-        with_unit = self.measure and self.unit == "record" and not self.channel
-        return f"{shown} ({self.measure})" if with_unit else shown
+        """Return the heading with the test record and the channel: the title in a page."""
+        return ", ".join(filter(None, [self.shown, self.line]))
 
     @property
     def best(self) -> str:
@@ -134,14 +131,13 @@ class Table:
     """A table: columns, and the rows in order."""
 
     title: str
-    columns: Sequence[Column]  # the last ones are missing in a narrow terminal
+    columns: Sequence[Column]
     rows: Mapping[str, str]  # remarks on rows by name, possibly empty
     head: str = "method"  # heading of the rows
     recommended: str = ""  # the marked row
     minor: frozenset[str] = frozenset()  # rows that a page folds away at first
     labels: Mapping[str, str] = field(default_factory=dict)  # rows in words, by name
     details: Mapping[str, str] = field(default_factory=dict)  # choices of fits, by name
-    lines: str = "output"  # heading of the lines of a row
 
     @property
     def notes(self) -> dict[str, str]:
@@ -156,99 +152,49 @@ class Table:
         """Return a row in words, without the short name."""
         return self.label(row).removesuffix(f" ({row})")
 
-    def fitting(
-        self, width: int, box: Box | None = HEAVY_HEAD
-    ) -> tuple[rich.table.Table, list[str]]:
-        """Return the table for a terminal, and the headings of omitted columns.
+    def drawn(self, details: bool = False, box: Box | None = HEAVY_HEAD) -> rich.table.Table:
+        """Return the table for a terminal, without its title; on request with `details`.
 
-        The best number of a column is bold. With several outputs, a row has several lines. Short
-        names are beside or below the words, for the larger number of columns. If a decisive column
-        would be omitted, or the table is still too wide, short names are omitted, and long words
-        are broken.
+        The best number of a column is bold. Channels and test records have lines of their own below
+        the row. In a narrow terminal words are folded, and numbers never.
         """
-        forms = (_BESIDE, _BELOW) if self.labels else (_PLAIN,)
-        drafts = [self._fitted(width, box, form) for form in forms]
-        drawn, left_out = min(drafts, key=lambda draft: len(draft[1]))
-        lost = bool(self.labels) and not DECISIVE.isdisjoint(c.heading for c in left_out)
-        if not lost and _width(drawn) <= width:
-            return drawn, self._headings(left_out)
-        drawn, left_out = self._fitted(width, box, _SHORT)
-        return drawn, [*self._headings(left_out), *["short names"] * bool(self.labels)]
-
-    @staticmethod
-    def _headings(columns: Sequence[Column]) -> list[str]:
-        """Return the distinct headings of columns."""
-        return [*dict.fromkeys(SHOWN.get(c.heading, c.heading) for c in columns)]
-
-    def _fitted(
-        self, width: int, box: Box | None, form: _Form
-    ) -> tuple[rich.table.Table, list[Column]]:
-        """Return the table in a form, and the omitted columns."""
-        of_heading: dict[tuple[str, str], dict[str, Column]] = {}
+        of_heading: dict[str, list[Column]] = {}
         for column in self.columns:
-            of_heading.setdefault((column.heading, column.record), {})[column.channel] = column
-        shown, left_out = [*of_heading.values()], list[Column]()
-        drawn = self._drawn(shown, box, form)
-        while len(shown) > 1 and _width(drawn) > width:
-            left_out = [*shown.pop().values(), *left_out]
-            drawn = self._drawn(shown, box, form)
-        return drawn, left_out
-
-    def _drawn(
-        self, shown: Sequence[Mapping[str, Column]], box: Box | None, form: _Form
-    ) -> rich.table.Table:
-        """Return the table of the columns of some headings, by channel."""
-        several = any(column.channel for column in self.columns)
-        padding = (0, 1, 0, 1) if box else (0, 2, 0, 0)
-        table = rich.table.Table(box=box, padding=padding, title_justify="left", title_style="bold")
-        table.title = self.title or None
-        beside = form.names == "beside"
-        for heading in (self.head, *["name"] * beside, *[self.lines] * several):
-            table.add_column(heading, no_wrap=True)
-        for of_channel in shown:
-            first, *_ = of_channel.values()
-            heading = first.shown if several else first.label
-            entries = [c.entry(name) for c in of_channel.values() for name in self.rows]
-            # A number in two lines would look like two outputs.
-            header = textwrap.fill(
-                heading, max(NARROW, *map(len, entries)), break_long_words=bool(form.narrow)
-            )
-            table.add_column(header, justify="right", no_wrap=True)
+            if details or column.heading not in DETAILS:
+                of_heading.setdefault(column.shown, []).append(column)
+        one = all(len({c.line for c in columns}) == 1 for columns in of_heading.values())
+        one = one and len({c.line for c in self.columns if c.line}) == 1  # the title names it
+        table = rich.table.Table(box=box, padding=(0, 1, 0, 1) if box else (0, 2, 0, 0))
+        table.add_column(self.head, overflow="fold")
+        for heading, columns in of_heading.items():
+            entries = [c.entry(name) for c in columns for name in self.rows if name in c.values]
+            least = max(map(len, " ".join([heading, *entries]).split(" ")))
+            width = max([NARROW, least, *map(len, entries)])
+            header = textwrap.fill(heading, width, break_long_words=False)
+            table.add_column(header, justify="right", min_width=least)
         for name in self.rows:
-            channels = self._channels(name)
-            heads = _spread(self._head(name, form), len(channels))
-            for i, channel in enumerate(channels):
-                cells = [heads[i], *[Text("" if i else name, "dim")] * beside]
-                line = textwrap.fill(channel, form.narrow) if form.narrow else channel
-                cells += [Text(line)] * several
-                cells += [_cell(of_channel, name, channel, i == 0) for of_channel in shown]
-                table.add_row(*cells, end_section=several and channel == channels[-1])
+            best = name == self.recommended
+            label = Text(titled(name, self.words(name)), "bold" if best else "")
+            every = [c for columns in of_heading.values() for c in columns if name in c.values]
+            lines = [] if one else [*dict.fromkeys(c.line for c in every if c.line)]
+            for line in ["", *lines]:
+                cells = [_cell(of, name, of[0].line if one else line) for of in of_heading.values()]
+                mark = "  " if line else "*" if best else " " * bool(self.recommended)
+                head = _behind(mark, Text(line) if line else label) if mark else label
+                table.add_row(head, *cells, end_section=bool(lines) and line == lines[-1])
         return table
 
-    def _head(self, name: str, form: _Form) -> list[Text]:
-        """Return the label of a row in lines: words and, in one form, the name below."""
-        best = name == self.recommended
-        label = self.words(name) if form.names else self.label(name)
-        first, rest = ("* " if best else "  ", "  ") if self.recommended else ("", "")
-        wrapper = textwrap.TextWrapper(form.width, first, rest, break_on_hyphens=False)
-        wrapper.break_long_words = bool(form.narrow)
-        lines = [Text(line, "bold" if best else "") for line in wrapper.wrap(label)]
-        below = form.names == "below" and label != name
-        return [*lines, Text(rest + name, "dim")] if below else lines
-
-    def _channels(self, name: str) -> list[str]:
-        """Return the channels with numbers in a row; a single one has no name."""
-        channels = dict.fromkeys(c.channel for c in self.columns if c.channel and name in c.values)
-        return [*channels] or [""]
-
     def as_text(self, width: int = 100) -> str:
-        """Return the table as text, with as many columns as fit into `width` characters.
+        """Return the table as text in lines of `width` characters.
 
         It has no rules, which some encodings of files lack.
         """
-        console = _console(width)
+        # Brackets in names are text.
+        console = Console(
+            file=StringIO(), width=width, color_system=None, markup=False, emoji=False
+        )
         with console.capture() as captured:
-            console.print(self.fitting(width, None)[0])
+            console.print(self.drawn(box=None))
         lines = [line.rstrip() for line in captured.get().splitlines()]
         return "\n".join(lines + self.remarks())
 
@@ -276,26 +222,16 @@ class Table:
         return by_reason({self.label(n): "; ".join(filter(None, of)) for n, of in every.items()})
 
 
-def _width(table: rich.table.Table) -> int:
-    """Return the width of a table without wrapped cells."""
-    wide = _console(10_000)
-    return Measurement.get(wide, wide.options, table).maximum
+def _cell(columns: Sequence[Column], name: str, line: str) -> Text:
+    """Return the number of a row, or of one of its lines, under a heading."""
+    for column in columns:
+        if column.line == line and name in column.values:
+            return Text(column.entry(name), "bold" if column.best == name else "")
+    return Text("" if line or any(name in column.values for column in columns) else number(None))
 
 
-def _console(width: int) -> Console:
-    """Return a console for plain text; brackets in names are text."""
-    return Console(file=StringIO(), width=width, color_system=None, markup=False, emoji=False)
-
-
-def _cell(of_channel: Mapping[str, Column], name: str, channel: str, first: bool) -> Text:
-    """Return the number of a row's channel; one over all channels is in the first line."""
-    column = of_channel.get(channel) or (of_channel.get("") if first else None)
-    if column is None:
-        return Text(number(None) if channel == "" else "")
-    return Text(column.entry(name), "bold" if column.best == name else "")
-
-
-def _spread(lines: Sequence[Text], count: int) -> list[Text]:
-    """Return texts for `count` cells in a column: one line per cell, the rest in the last one."""
-    cells = [*lines[: count - 1], Text("\n").join(lines[count - 1 :])]
-    return cells + [Text("")] * (count - len(cells))
+def _behind(mark: str, text: Text) -> rich.table.Table:
+    """Return a text that is folded behind a mark."""
+    grid = rich.table.Table.grid(padding=(0, 1, 0, 0))
+    grid.add_row(mark, text)
+    return grid

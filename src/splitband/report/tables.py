@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from splitband.checks.model import ModelCheck
 from splitband.checks.responses import Responses
 from splitband.checks.simulator import SimulatorCheck
 from splitband.comparison.methods import NAMES
@@ -38,12 +39,14 @@ def _called(record: Record) -> str:
 def of_comparison(comparison: Comparison) -> Table:
     """Return the table of a comparison: one row per method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
-    truth = "the noise-free signal" if record.y_true is not None else "what was measured"
-    ahead = f"{run_of(record)} of the {len(record) - train:,} after them, against {truth}"
+    truth = " Errors are against the noise-free signal." if record.y_true is not None else ""
+    ahead = f", then predicted the next {len(record) - train:,} in one {run_of(record)}"
+    tests = f", then simulated {' and '.join(t.name for t in comparison.tests)}"
     title = (
-        f"{_called(record)}: {train:,} samples to train on"
-        + (f", {ahead}" if train < len(record) else "")
-        + f". {what_was_known(comparison)}{_from_origins(comparison)}"
+        f"{_called(record)}: every method was trained on {train:,} samples"
+        + (ahead if train < len(record) else "")
+        + (tests if comparison.tests else "")
+        + f". {what_was_known(comparison)}{truth}{_from_origins(comparison)}"
     )
     missing = {} if trial is None else trial.without_result
     ranked = ordered(trial, comparison.fits)
@@ -64,7 +67,9 @@ def _from_origins(comparison: Comparison) -> str:
         return ""
     counts = " and ".join(str(len(forecasts)) for _, forecasts in found)
     steps = ", ".join(map(str, _horizons(comparison).values()))
-    return f" Samples ahead: {steps} from each of {counts} origins, measured until then."
+    return (
+        f" Fits {steps} samples ahead are from {counts} origins, with the measurements until each."
+    )
 
 
 def _horizons(comparison: Comparison) -> dict[str, int]:
@@ -79,7 +84,7 @@ def of_trial(
 ) -> Table:
     """Return the table of a trial: one row per method, the recommended one first."""
     rows = dict.fromkeys(ordered(trial, trial.errors), "") | trial.without_result
-    title = title or f"{_called(record)}: RMSE on its last quarter, fitted to the rest of it"
+    title = title or f"{_called(record)}: RMSE on the last quarter, after training on the rest"
     listed = tried(trial, record, [*trial.errors])
     return _ranked(Table(title, listed, rows, labels=labels(rows, methods)), trial)
 
@@ -107,8 +112,8 @@ def of_attempts(attempts: Sequence[Attempt]) -> Table:
         Column("score", "deviation", scores, note=RULE),
     ]
     title = (
-        "What was tried, in that order; the score is of a single training, in the table of methods "
-        "of a median"
+        "Trainings of the search, in order; the score is that of a single training, and in the "
+        "table of methods that of a median"
     )
     details = {name: attempt.training for name, attempt in of.items()}
     rows = dict.fromkeys(names, "")
@@ -291,15 +296,13 @@ _AHEAD = (
     "forecast where there are none: 100 is perfect, 0 is as good as their mean"
 )
 _INSIDE = (
-    "share of the measured samples after the training part, or of those ahead, in the interval; "
-    f"{percent(COVERAGE)} is ideal; narrow or wide: by more than chance"
+    "share of the measured samples after the training part, or of those ahead, in the "
+    f"interval; {percent(COVERAGE)} is ideal; narrow, wide: off by more than chance, or nearly all"
 )
-_HELD_OUT = "error on the last quarter of the training samples, by models trained on the rest"
+_HELD_OUT = "error on the last quarter of the training samples of models trained on the rest"
 _RMSE = "root mean squared error of the"
-_START = "of the simulation from the first samples to the end of the record"
-_MEDIAN_OF = "how many the median is of; after ±: the standard deviation of their errors"
+_MEDIAN_OF = "trainings that the median is of; ± is the standard deviation of their errors"
 _TESTS, _FORECASTS = partial(_errors, "test"), partial(_errors, "forecast")
-_STARTS = partial(_errors, "start")
 COLUMNS = {
     **{
         f"{name} ahead fit %": Quantity("percent", _OF_AHEAD, partial(_ahead, name))
@@ -308,24 +311,39 @@ COLUMNS = {
     "test fit %": Quantity("percent", _OF_TEST, partial(_TESTS, fit_percent)),
     "forecast fit %": Quantity("percent", _AHEAD, partial(_FORECASTS, fit_percent)),
     "score": Quantity("deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else []),
-    "in interval": Quantity("share", _INSIDE, _intervals),
     "test RMSE": Quantity(
         "record", f"{_RMSE} simulation of this test record", partial(_TESTS, channel_rmse)
     ),
     "forecast RMSE": Quantity(
         "record", f"{_RMSE} samples after the training part", partial(_FORECASTS, channel_rmse)
     ),
+    "in interval": Quantity("share", _INSIDE, _intervals),
     "held-out RMSE": Quantity(
         "record", _HELD_OUT, lambda c: [_held_out(c.trial, c.record, c.fits)] if c.trial else []
-    ),
-    "RMSE from the start": Quantity("record", _START, partial(_STARTS, channel_rmse)),
-    "fit % from the start": Quantity(
-        "percent", "of the same simulation", partial(_STARTS, fit_percent)
     ),
     "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
     "trainings": Quantity("count", _MEDIAN_OF, _trainings),
 }
-"""The columns of comparisons by heading; the last ones are missing in a narrow terminal."""
+"""The columns of comparisons by heading."""
+
+
+def of_checks(checks: Mapping[str, ModelCheck]) -> Table:
+    """Return the table of checks of several models on one record, by the names of the models."""
+    record = next(iter(checks.values())).record
+    columns = [
+        Column(
+            f"{horizon} fit %",
+            "percent",
+            {n: each.fits[horizon][i] for n, each in checks.items() if horizon in each.fits},
+            channel if record.ny > 1 else "",
+        )
+        for horizon in dict.fromkeys(h for each in checks.values() for h in each.fits)
+        for i, channel in enumerate(record.columns)
+    ]
+    rows = {n: f"{each.outcome}. {' '.join(each.in_words())}" for n, each in checks.items()}
+    labels = {name: titled(name, each.title) for name, each in checks.items()}
+    title = f"{_called(record)}: models on {len(record):,} samples"
+    return Table(title, columns, rows, "model", labels=labels)
 
 
 def of_gains(responses: Sequence[Responses]) -> list[Table]:
@@ -342,11 +360,9 @@ def of_gains(responses: Sequence[Responses]) -> list[Table]:
     for response in sorted(responses, key=lambda r: 0.5 if r.share is None else r.share):
         gains = {name: float(response.y[-1][at]) for name, at in pairs.items()}
         listed.append(Column(f"at {response.place}", "record", gains, ranked=False))
-    title = (
-        f"Step responses after {first.time[-1]:.4g} s, for a step of 1 (static gain, if settled)"
-    )
+    title = f"Responses {first.time[-1]:.4g} s after a step of 1 (the static gain, if settled)"
     if len(responses) > 1:
-        title += ", where all inputs are at these shares of their ranges in training"
+        title += ", with all inputs at these shares of their training ranges"
     return [Table(title, listed, dict.fromkeys(pairs, ""), "step")]
 
 
@@ -379,7 +395,7 @@ def of_poles(fitted: Linear) -> Table:
         Column("frequency (Hz)", "record", of(np.abs(rates) / (2 * np.pi)), ranked=False),
         Column("damping ratio", "record", of(-rates.real / np.abs(rates)), ranked=False),
     ]
-    title = "Poles in the z plane; after ±: half of the 95 % interval"
+    title = "Poles in the z plane; ± is half of the 95 % interval"
     return Table(title, listed, dict.fromkeys(names.values(), ""), "pole")
 
 
@@ -394,6 +410,6 @@ def of_oracle(found: SimulatorCheck) -> Table:
     ]
     title = (
         "Oracle check: RMSE of a hybrid with a perfect network (measured high band, simulated low "
-        f"band) and with none; the simulator alone has RMSE {number(found.total_rmse)}"
+        f"band) and without any. The simulator alone has RMSE {number(found.total_rmse)}."
     )
     return Table(title, columns, dict.fromkeys(of, ""), "cut-off", f"{found.cutoff:g} Hz")

@@ -110,27 +110,26 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
     best = trial.recommended
     if len(trial.errors) == 1:
         return [
-            f"No other method was tried. Its held-out error is that of forecasts of the last "
-            f"{percent(HELD_OUT_SHARE)} of the {train:,} training samples, fitted to the rest of "
-            "them."
+            "No other method was tried. For its held-out error it was trained on the first "
+            f"{percent(1 - HELD_OUT_SHARE)} of the {train:,} training samples and predicted the "
+            "rest."
         ]
     ranked = trial.ranked(trial.final)
     able = [name for name in ranked if name not in trial.left_out] or ranked
-    words = [f"Lowest score, {number(trial.penalized_score(best))}"]
+    words = [f"Its score is the lowest, {number(trial.penalized_score(best))}"]
     if 1 < len(able) < len(ranked):
-        words[0] += ", of the methods that could simulate the test records"
+        words[0] += ", of the methods that may be recommended"
     if len(able) > 1:
-        words[0] += (
-            f"; next: {called.get(able[1], able[1])}, {number(trial.penalized_score(able[1]))}"
-        )
+        second = number(trial.penalized_score(able[1]))
+        words[0] += f"; that of {called.get(able[1], able[1])} is {second}"
     words[0] += "."
     words.append(
-        f"The score uses the {train:,} training samples alone: every method was trained on the "
-        f"first {percent(1 - HELD_OUT_SHARE)} of them and predicted the rest"
-        + (f", up to {ahead} ahead from many origins." if ahead else ".")
+        f"The score is the held-out error in standard deviations: every method was trained on the "
+        f"first {percent(1 - HELD_OUT_SHARE)} of the {train:,} training samples and predicted the "
+        "rest" + (f", up to {ahead} samples ahead from many origins." if ahead else ".")
     )
     if trial.trained and set(trial.errors) - trial.trained:
-        words.append(f"Networks carry a penalty of {percent(WORTH_TRAINING)}.")
+        words.append(f"The scores of networks carry a penalty of {percent(WORTH_TRAINING)}.")
     return words
 
 
@@ -156,7 +155,7 @@ def afterwards(comparison: Comparison) -> list[str]:
         + (f" ({of})" if (of := c.record or c.channel) else "")
         for c in better
     )
-    return [f"In hindsight, a better fit: {names}."]
+    return [f"In hindsight, a better fit had: {names}."]
 
 
 def _decisive(comparison: Comparison) -> list[Column]:
@@ -184,6 +183,7 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
 def warnings(comparison: Comparison) -> list[str]:
     """Return warnings about the numbers, the gravest first."""
     return [
+        *map(sentence, comparison.clock.notes),
         *_unstable(comparison),
         *_seen(comparison),
         *_worse_than_mean(comparison),
@@ -201,7 +201,6 @@ def warnings(comparison: Comparison) -> list[str]:
         *of_inputs(comparison.inputs_beyond_training, comparison.record),
         *_notes(comparison),
         *_left_out(comparison),
-        *map(sentence, comparison.clock.notes),
     ]
 
 
@@ -217,7 +216,7 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
         what = "No method predicts"
     named = " and ".join(filter(None, (f"{c.channel} {c.record}".strip() for c in worse)))
     finding = f"{what} {named or 'this record'} better than the mean of the predicted samples"
-    return [f"{finding} (fit 0 %), which is not known beforehand."]
+    return [f"{finding} (fit 0 %), although that mean is not known beforehand."]
 
 
 def _unstable(comparison: Comparison) -> list[str]:
@@ -233,8 +232,7 @@ def _unstable(comparison: Comparison) -> list[str]:
 def _seen(comparison: Comparison) -> list[str]:
     """Return sentences on test records among the training samples."""
     return [
-        f"Samples of the test record {test.name} are training samples: its fit is not one on new "
-        "data."
+        f"The test record {test.name} contains training samples, so its fit is not one on new data."
         for test in comparison.tests
         if repeats_training(test, (comparison.plan.training, *comparison.others))
     ]
@@ -252,8 +250,8 @@ def _useless_term(comparison: Comparison) -> list[str]:
         return []
     return [
         f"The unknown terms help little (held-out RMSE {number(found)}, without them "
-        f"{number(alone)}): what the equation lacks is no function of their quantities, as where a "
-        "state is missing. A hybrid learns it outside of the equation."
+        f"{number(alone)}): what the equation lacks does not depend on their arguments alone, as "
+        "where a state is missing. A hybrid learns it outside of the equation."
     ]
 
 
@@ -281,7 +279,8 @@ def _wide_interval(comparison: Comparison) -> list[str]:
         return []
     return [
         f"The {percent(interval.share)} interval is as wide as the record itself "
-        f"({' and '.join(widths)} on average): held-out errors do not tell how good the model is."
+        f"({' and '.join(widths)} on average): the held-out errors do not show that the model has "
+        "any skill."
     ]
 
 
@@ -297,8 +296,8 @@ def _missed_interval(comparison: Comparison) -> list[str]:
     if not missed:
         return []
     return [
-        f"The {percent(share)} interval held only {' and '.join(missed)} of the samples after the "
-        "training part. Either the system has changed, or the training part does not show how "
+        f"The {percent(share)} interval contained only {' and '.join(missed)} of the samples after "
+        "the training part. Either the system has changed, or the training part does not show how "
         "errors grow."
     ]
 
@@ -307,7 +306,9 @@ def _missing(comparison: Comparison) -> list[str]:
     """Return sentences on the methods without a result."""
     why, called = comparison.require_trial().without_result, labels_of(comparison)
     missing = without_result(comparison)
-    reasons = {titled(n, called[n]): why.get(n, "no result: not trained so far") for n in missing}
+    reasons = {
+        titled(n, called[n]): why.get(n, "no result: it is not trained yet") for n in missing
+    }
     return [*map(sentence, by_reason(reasons))]
 
 
@@ -317,15 +318,17 @@ def _few_held_out(train: int) -> list[str]:
     if held_out >= MIN_HELD_OUT:
         return []
     return [
-        f"The method was chosen by {held_out} held-out samples, which are too few to tell methods "
-        "apart: a longer record may lead to another choice."
+        f"The method was chosen by only {held_out} held-out samples, which are too few to tell "
+        "methods apart: a longer record may lead to another choice."
     ]
 
 
 def _notes(comparison: Comparison) -> list[str]:
     """Return the doubts of predictions and the notes of fits, with their methods."""
     called = {name: titled(name, words) for name, words in labels_of(comparison).items()}
-    doubts, general = dict[str, list[str]](), comparison.warnings
+    doubts = dict[str, list[str]]()
+    recommended = (fit.report for fit in comparison.fits[comparison.recommended])
+    general = [*comparison.warnings, *(report.unstable() for report in recommended)]
     for name, runs in comparison.fits.items():
         remarks = [run.fitted.parameters.get("doubt") for run in runs]
         if name in comparison.predictions:
@@ -351,14 +354,14 @@ def _left_out(comparison: Comparison) -> list[str]:
     plan, sentences = comparison.plan, list[str]()
     if comparison.left_out:
         sentences.append(
-            f"Not tested: {', '.join(comparison.left_out)}; they go on from the training record, "
-            "or need a simulator of the test record (--test-simulator)."
+            f"Not tested: {', '.join(comparison.left_out)}. Such methods continue the training "
+            "record, or need a simulator of the test record (--test-simulator)."
         )
     choice = plan.bands.choice
     if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
         sentences.append(
-            "The simulator helps below no cut-off, so that hybrid models were left out; --methods "
-            "brings them back."
+            "The simulator helps at no cut-off frequency, so hybrid models were left out. Name "
+            "them with --methods to compare them all the same."
         )
     return sentences
 
@@ -372,7 +375,7 @@ def of_bands(bands: Bands, training: Record) -> str:
     reason = choice.reason if choice else f"{percent(below)} of the power lies below that"
     return (
         f"Models of two bands split the signal at {number(bands.cutoff)} Hz, with filters of "
-        f"order {bands.order}; the low band keeps one of {bands.downsampling} samples. "
+        f"order {bands.order}; the low band has every {bands.downsampling}-th sample. "
         f"{sentence(reason)}"
     )
 
@@ -389,8 +392,8 @@ def of_gaps(record: Record) -> list[str]:
     """Return sentences on samples that are not as they were logged, or missing, if any."""
     missing, said = int((~record.complete).sum()), record.reading.sentences
     gaps = (
-        f"{missing:,} of {len(record):,} samples have missing values: curves break there, and "
-        "errors leave them out."
+        f"{missing:,} of {len(record):,} samples have missing values. Curves have gaps there, and "
+        "errors exclude them."
     )
     read = f"The record was read with {'; '.join(said)}."
     return [*([read] if said else []), *([gaps] if missing else [])]

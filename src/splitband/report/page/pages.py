@@ -300,6 +300,18 @@ def of_check(
     return Page(f"{name} on {record.name or 'a record'}", words.lead(record), sections)
 
 
+def of_checks(checks: Mapping[str, ModelCheck], used: Usage) -> Page:
+    """Return the page of checks of several models, by their folders, on one record."""
+    record = next(iter(checks.values())).record
+    simulated = {name: check.simulation for name, check in checks.items()}
+    styles = method_styles({n: titled(n, c.title) for n, c in checks.items()}, next(iter(checks)))
+    drawn = plots.OverTime(Predicted("start", "simulation", record, simulated), styles)
+    curves, listed = [*drawn.outputs(), *drawn.inputs()], [tables.of_checks(checks)]
+    title = f"{len(checks)} models on {record.name or 'a record'}"
+    answer = Section("answer", title, plots=curves, tables=listed)
+    return Page(title, words.lead(record), [answer, _settings([], used)], [*styles.values()])
+
+
 def of_inspection(found: Inspection, used: Usage) -> Page:
     """Return the page of an inspection of a record."""
     record, bands = found.record, found.bands
