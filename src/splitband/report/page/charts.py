@@ -107,7 +107,8 @@ class Axis:
     @classmethod
     def over_frequency(cls, values: Array, unit: str) -> Axis:
         """Return a logarithmic axis, with equally wide bins."""
-        shown = _range(values[0], max(values[-1], 2 * values[0]))  # a short record has only one
+        # A short record has only one.
+        shown = _range(0.95 * values[0], 1.05 * max(values[-1], 2 * values[0]))
         bins = np.arange(len(values))
         if len(values) > MOST:
             edges = np.geomspace(1, len(values), MOST // 2, endpoint=False)

@@ -10,7 +10,7 @@ import scipy
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.records import Record
 from splitband.report.colors import PALETTE
-from splitband.report.numbers import squared
+from splitband.report.numbers import number, squared
 from splitband.report.page.charts import SMALL, TALL, Axis, Chart, Key, log_limits
 from splitband.report.page.over_time import Run
 from splitband.report.page.parts import DASHES, Look
@@ -99,13 +99,13 @@ def spectrum(record: Record, cutoff: float | None) -> list[Chart]:
     inputs = () if record.u is None else zip(record.inputs, record.u.T, strict=True)
     others += [(name, [u] * record.ny) for name, u in inputs]
     small = len(others) > 1
-    found = [_power(record), *(_coherence(record, name, y, small) for name, y in others)]
+    found = [_power(record, cutoff), *(_coherence(record, name, y, small) for name, y in others)]
     for chart in found if cutoff else ():
         chart.mark(cutoff or 0.0, "cutoff")
     return found
 
 
-def _power(record: Record) -> Chart:
+def _power(record: Record, cutoff: float | None) -> Chart:
     """Return the plot of the power of the outputs, and of a simulator's."""
     unit = _unit(record)
     own = periodogram(record.y, record.sampling_rate)
@@ -117,7 +117,8 @@ def _power(record: Record) -> Chart:
     low, high = log_limits(own.density[1:])
     axis, label = Axis.over_frequency(own.frequencies[1:], unit), f"({squared(record)}/{unit})"
     scale = max(low, 1e-9 * high), 2 * high
-    chart = Chart(axis, f"power density {label}", scale, "Spectrum", log=True)
+    caption = f"Spectrum; dashed: the cut-off at {number(cutoff)} {unit}" if cutoff else "Spectrum"
+    chart = Chart(axis, f"power density {label}", scale, caption, log=True)
     for i, (name, density) in enumerate(curves.items()):
         chart.line(density, _key(i, name), line_width=1.3)
     return chart

@@ -104,6 +104,7 @@ def _run(found: Comparison, record: Record, of: Mapping[str, Pieces]) -> Run:
     ends = [held, plan.train, end] if own else [0, 0, end]
     parts = dict(zip(PARTS, zip([0, *ends], [e - 1 for e in ends], strict=False), strict=True))
     says = f"forecasts {plan.ahead} samples ahead" if ahead else run_of(record)
+    says += (" after" if plan.train < end else " of") + " the training part" if own else ""
     says += "" if own else f" of the test record {record.name}"
     level = 0.0 if interval is None or np.isnan(half).all() else interval.share
     scored = plan.train if own and plan.train < end else 0
@@ -127,7 +128,10 @@ def _output(run: Run, looks: Mapping[str, Look], axis: Axis, i: int) -> list[Cha
     measured, look = record.y_with_gaps[:, i], looks[best]
     predicted, height = run.curves[best][:, i], TALL if record.ny <= MAX_TALL_CHANNELS else LOW
     scale = limits([measured, np.clip(predicted, *limits([measured], DIVERGED))])
-    chart = Chart(axis, column, scale, f"{column}: measured, and {run.says}", height)
+    caption = f"{column}, measured and predicted: {run.says}"
+    if np.isfinite(predicted[: run.scored]).any():
+        caption += ", and from the first samples before it"
+    chart = Chart(axis, column, scale, caption, height)
     for part, (first, last) in run.parts.items():
         ends = {"left": float(axis.values[first]), "right": float(axis.values[last])}
         chart.shade(Key(part, PARTS[part], shaded=True), **ends)

@@ -107,7 +107,7 @@ def _methods(result: Comparison, listed: Table, drawn: Iterable[str]) -> Section
     shown = [*fits, *near, *errors, *columns(result, "in interval")]
     text = words.why(result.require_trial(), plan.train, listed.labels, plan.ahead)
     if chosen := result.fits[best][0].description:
-        text.append(words.sentence(f"The recommended method has {chosen}"))
+        text.append(words.sentence(f"Recommended: {chosen}"))
     table = replace(listed, columns=shown, details={})
     return Section("methods", "All methods", [" ".join(text)], tables=[table])
 
