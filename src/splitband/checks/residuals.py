@@ -19,13 +19,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.filters.spectrum import periodogram
 from splitband.records.signals import usual_distance
 from splitband.runtime.arrays import Array
 
@@ -37,6 +38,8 @@ SIGNIFICANT = 0.005
 (`benchmarks.residuals`), 1.5 % of right models have a p-value below 1 %."""
 LAGS = 25
 """Largest lag of the correlations, in samples, as in MATLAB's `resid`."""
+MOST_LAGS = 500
+"""Largest lag of `Correlation.around`. Bounds the time."""
 MAX_ORDER = 20
 """Largest order of the autoregressive model of the residuals. Bounds the time."""
 MAX_LAG, LAG_MEANS = 100, 12
@@ -80,12 +83,16 @@ class Correlation:
     values : By lag: from 1 on for residuals, from 0 on for an input.
     band : Confidence limit: without correlation, `CONFIDENCE` of the values lie within +- `band`.
     p : The p-value of the test.
+    around : The same by lag from -n to n, n being twice the slowest period of the output. Residuals
+        that follow an input have values at positive lags, an input that follows them at negative
+        ones.
     """
 
     of: str
     values: tuple[float, ...]
     band: float
     p: float
+    around: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +194,10 @@ class ResidualTests:
 
     def as_json(self) -> dict[str, Any]:
         """Return the tests for a JSON file."""
-        return asdict(self) | {"outcome": self.outcome, "verdict": self.verdict()}
+        facts = asdict(self) | {"outcome": self.outcome, "verdict": self.verdict()}
+        for each in (facts["whiteness"], *facts["inputs"]):
+            del each["around"]  # for a plot
+        return facts
 
 
 def residual_tests(
@@ -212,7 +222,7 @@ def residual_tests(
         if len(e) < 2 * LAGS:
             continue
         p, tested = _dependence(e, y, driven) if driven else (1.0, ())
-        white = _whiteness(e)
+        white = _whiteness(e, _slow(e + y))
         unrelated = bool(driven) and white.p < 1 - CONFIDENCE and _unrelated(e + y, driven)
         tests.append(ResidualTests(column, white, tested, p, _size(e, y), unrelated))
     return tuple(tests)
@@ -239,13 +249,20 @@ def _size(e: Array, simulated: Array) -> float | None:
     return float(np.sqrt(np.nanmean(e**2))) / deviation if deviation else None
 
 
-def _whiteness(e: Array) -> Correlation:
+def _slow(y: Array) -> int:
+    """Return twice the slowest period of a signal, in samples; see `Correlation.around`."""
+    x, _ = _centred(y)
+    slowest = min((f for f, _ in periodogram(x, 1.0).peaks()), default=1.0)
+    return max(min(round(2 / slowest), len(x) // 4, MOST_LAGS), LAGS)
+
+
+def _whiteness(e: Array, most: int) -> Correlation:
     """Return the autocorrelation, and the test of Ljung and Box (1978)."""
     x, samples = _centred(e)
-    r = _correlation(x, x)[1:]
-    lags = np.arange(1, LAGS + 1)
+    around = _correlation(x, x, most)
+    r, lags = around[most + 1 :][:LAGS], np.arange(1, LAGS + 1)
     statistic = samples * (samples + 2) * np.sum(r**2 / np.maximum(samples - lags, 1))
-    return _correlated("residuals", r, samples, float(scipy.stats.chi2.sf(statistic, LAGS)))
+    return _correlated("residuals", r, samples, float(scipy.stats.chi2.sf(statistic, LAGS)), around)
 
 
 def _dependence(
@@ -264,10 +281,11 @@ def _dependence(
         chances = [test.p([]), *(test.p([k for k in every if k != i]) for i in every[:-1])]
     a = np.append(1.0, -np.linalg.lstsq(past[:, : test.order], y, rcond=None)[0])
     white = scipy.signal.lfilter(a, [1.0], x)
-    tests = []
+    tests, most = [], _slow(e + simulated)
     for (name, u), p in zip(inputs.items(), chances[1:], strict=True):
-        r = _correlation(white, scipy.signal.lfilter(a, [1.0], u - u.mean())[-len(x) :])
-        tests.append(_correlated(name, r, samples, p))
+        filtered = scipy.signal.lfilter(a, [1.0], u - u.mean())[-len(x) :]
+        around = _correlation(white, filtered, most)
+        tests.append(_correlated(name, around[most:][: LAGS + 1], samples, p, around))
     return chances[0], tuple(tests)
 
 
@@ -401,9 +419,9 @@ def _outside(basis: Array, x: Array) -> Array:
     return np.asarray(np.subtract(x, inside, out=inside))
 
 
-def _correlated(of: str, r: Array, samples: int, p: float) -> Correlation:
+def _correlated(of: str, r: Array, samples: int, p: float, around: Array) -> Correlation:
     band = float(scipy.special.ndtri(0.5 + CONFIDENCE / 2)) / math.sqrt(samples)
-    return Correlation(of, tuple(map(float, r)), band, p)
+    return Correlation(of, tuple(map(float, r)), band, p, around)
 
 
 def _centred(x: Array) -> tuple[Array, int]:
@@ -412,9 +430,10 @@ def _centred(x: Array) -> tuple[Array, int]:
     return np.where(measured, x - x[measured].mean(), 0.0), max(int(measured.sum()), 1)
 
 
-def _correlation(later: Array, earlier: Array) -> Array:
-    """Return the correlation of `later` with `earlier` at lags from 0 to `LAGS`."""
+def _correlation(later: Array, earlier: Array, most: int) -> Array:
+    """Return the correlation of `later` with `earlier` at lags from -`most` to `most`."""
     n = len(later)
     size = math.sqrt(float(later @ later) * float(earlier @ earlier))
-    r = np.array([later[k:] @ earlier[: n - k] for k in range(LAGS + 1)])
+    at = ((max(k, 0), max(-k, 0)) for k in range(-most, most + 1))
+    r = np.array([later[i : n - j] @ earlier[j : n - i] for i, j in at])
     return r / size if size else r

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,8 @@ SETTLED = 0.02
 largest slope: the 2 % of the settling time, a convention."""
 GROWN = 100.0
 """Growth of an error at which the responses of an unstable model end. By eye."""
+STEEP = 5.0
+"""Growth of an integrator's gain over a decade of frequency, ten, with room for rounding."""
 LONGEST = 16
 """Longest simulation for a frequency response, in multiples of `steps`. Bounds the time."""
 
@@ -67,6 +70,22 @@ class Responses:
         return self.system is not None or _settled(self.whole)
 
     @property
+    def gains(self) -> Array:
+        """Return the static gains, `(ny, nu)`: inf of an integrator, NaN of what has not settled.
+
+        An integrator of known matrices has a gain that is ten times as large at a tenth of a low
+        frequency; the step response of any other one ends in a straight line.
+        """
+        if self.system is not None:
+            near, nearer = (abs(_gain(self.system, np.exp(1j * w))) for w in (1e-5, 1e-6))
+            at_zero = _gain(self.system, np.exp(1e-6j)).real
+            return np.where(nearer > STEEP * near, np.inf, at_zero)
+        last = self.whole[-1]
+        rise = abs(_impulse(self.whole)[-1]) * len(self.whole)
+        settled = np.where(rise > SETTLED * abs(self.whole).max(axis=0), np.inf, last)
+        return settled if self.settled else np.full_like(last, np.nan)
+
+    @property
     def time(self) -> Array:
         """Return the times after the step in seconds, `(steps,)`."""
         return np.asarray(np.arange(len(self.y)) * self.sampling_time, dtype=np.float64)
@@ -87,12 +106,17 @@ class Responses:
         frequencies = np.fft.rfftfreq(len(self.y), self.sampling_time)[1:]
         z = np.exp(2j * np.pi * frequencies * self.sampling_time)[:, None, None]
         if self.system is not None:
-            a, b, c, d = self.system
-            gain = c @ np.linalg.solve(z * np.eye(len(a)) - a, b + 0 * z) + d
+            gain = _gain(self.system, z)
         else:
             impulse, every = _impulse(self.whole), len(self.whole) // len(self.y)
             gain = np.fft.rfft(impulse, axis=0)[every::every] + impulse[-1] * z / (z - 1)
         return np.asarray(frequencies, np.float64), np.asarray(gain, np.complex128)
+
+
+def _gain(system: tuple[Array, Array, Array, Array], z: Any) -> npt.NDArray[np.complex128]:
+    """Return the transfer function of state-space matrices at `z`."""
+    a, b, c, d = system
+    return np.asarray(c @ np.linalg.solve(z * np.eye(len(a)) - a, b + 0 * z) + d, np.complex128)
 
 
 def _impulse(y: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -116,11 +117,13 @@ def usage(
     """
     record = str(given.get("record", ""))
     asked = _line(f"splitband {command}", given, [*given])
+    files = [record, *(given.get("more") or ()), *(given.get("test") or ())]
+    used = Usage((), asked, [*filter(None, map(str, files))])
     if plan is None or model is None:
-        return Usage(asked=asked)
+        return used
     record = record or (plan.record.name if plan.record.name in RECORDS else "")
     if not record:
-        return Usage(asked=asked)
+        return used
     given = {**given, "record": record}
     commands = [("Simulate it beyond the training record", _simulate(given, out, plan, model))]
     if model.random:
@@ -144,7 +147,7 @@ def usage(
     commands.sort(key=lambda each: "FILE" in each[1])  # those with a placeholder come last
     if "simulator" not in model.needs and not model.parameters:
         commands.append(("Use it in Python", _python(out, plan)))
-    return Usage(commands, asked)
+    return replace(used, commands=commands)
 
 
 def comparing(record: str, given: Mapping[str, Any]) -> str:

@@ -180,18 +180,51 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
     return {f"{test.verdict()} (Tested on {where}.)": test for test in tests}
 
 
+def answer(comparison: Comparison) -> list[str]:
+    """Return sentences on the fit of the recommended method, and on what it does not explain."""
+    fits = "; ".join(f"{of}: {facts[0]}" for of, facts in headline(comparison))
+    left = [_left(test) for test in comparison.residual_tests]
+    return [" ".join([sentence(fits), *left]), *gravest(comparison), *afterwards(comparison)]
+
+
+def _left(test: ResidualTests) -> str:
+    """Return a sentence on what a method leaves of an output, with its size."""
+    size = f"{percent(test.size or 0.0)} of the standard deviation"
+    if test.dependent:
+        return (
+            f"A part of the effect of {' and '.join(test.dependent)} on {test.output} is not "
+            f"explained: the residuals are {size}."
+        )
+    if test.white:
+        return f"The residuals of {test.output} are white noise: {size}."
+    if test.unrelated:
+        return test.finding()
+    return (
+        f"The residuals of {test.output}, {size}, are not white noise: a disturbance acts, or "
+        "the model lacks dynamics."
+    )
+
+
 def warnings(comparison: Comparison) -> list[str]:
     """Return warnings about the numbers, the gravest first."""
+    verdicts_of = verdicts(comparison).items()
+    doubtful = [said for said, test in verdicts_of if test.unrelated or not test.accepted]
+    return [*gravest(comparison), *doubtful, *further(comparison)]
+
+
+def gravest(comparison: Comparison) -> list[str]:
+    """Return warnings that a reader of the answer must know."""
     return [
         *map(sentence, comparison.clock.notes),
         *_unstable(comparison),
         *_seen(comparison),
         *_worse_than_mean(comparison),
-        *(
-            verdict
-            for verdict, test in verdicts(comparison).items()
-            if test.unrelated or not test.accepted
-        ),
+    ]
+
+
+def further(comparison: Comparison) -> list[str]:
+    """Return the other warnings, without those of residual tests."""
+    return [
         *_useless_term(comparison),
         *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),

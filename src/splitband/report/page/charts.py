@@ -5,71 +5,77 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from bokeh.models import (
+    BasicTicker,
     ColumnDataSource,
     DatetimeTickFormatter,
     FixedTicker,
     HoverTool,
     Line,
     LogAxis,
+    LogTickFormatter,
     PlainText,
     Range1d,
     Segment,
     Step,
     VArea,
 )
-from bokeh.models.annotations import Span
+from bokeh.models.annotations import BoxAnnotation, Span
 from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 
 from splitband.records import Record
 from splitband.records.timing import stamps_at
-from splitband.report.numbers import in_one_offset, number
-from splitband.report.page.parts import Method
+from splitband.report.numbers import in_one_offset
 from splitband.runtime.arrays import Array
 
-WIDTH, TALL, LOW, SMALL = 800, 270, 210, 150
+WIDTH, TALL, LOW, SMALL = 800, 270, 190, 125
 """Pixels: the width of plots, and the heights of large, low and small ones."""
 LEFT = 70
 """Pixels for the numbers of a vertical axis, equal for all plots: the time axes line up."""
 X = "x"
-"""The column of a chart's source along its axis."""
-MOST = 4_000
-"""Largest number of points of a curve, more than the columns of a screen. Layout."""
+"""The column of an axis's source along it."""
+MOST = 2_000
+"""Largest number of points of a curve, more than the columns of a plot. Layout."""
 MAX_AXIS_RANGE = 1e3
 """Largest distance of a curve from a plot, in heights of the plot: a canvas takes no larger
 numbers. Layout."""
 MAX_ROUNDING = 1e-4
 """Largest change of a curve by single precision, as a share of its range: less than a pixel.
 Layout."""
-TOLD = 8
-"""Largest number of curves of a chart, and of points of a short curve, in its description.
-Layout."""
-_UP_TO_MINUTES = {"milliseconds": "%H:%M:%S.%3N", "seconds": "%H:%M:%S", "minsec": "%H:%M:%S"}
-_UP_TO_DAYS = {"minutes": "%H:%M", "hourmin": "%H:%M", "hours": "%d %b %H:%M", "days": "%d %b"}
-DATES: dict[str, Any] = _UP_TO_MINUTES | _UP_TO_DAYS | {"months": "%b %Y", "years": "%Y"}
-_DASHES = "dashed", "dotted", "dashdot"
+DATES: dict[str, Any] = {
+    "milliseconds": "%H:%M:%S.%3N",
+    **dict.fromkeys(("seconds", "minsec"), "%H:%M:%S"),
+    **dict.fromkeys(("minutes", "hourmin"), "%H:%M"),
+    "hours": "%d %b %H:%M",
+    "days": "%d %b",
+    "months": "%b %Y",
+    "years": "%Y",
+}
+MIN_EXPONENT = 4
+"""Least exponent of a number that is written as a power of ten. Layout."""
 MANY = 200
 """Least range of an axis of angular frequencies with one number a decade. Layout."""
 MOST_DECIMALS = 12
 """Largest number of decimals in a tooltip. Layout."""
-FAINT = 0.45
-"""Opacity of curves for comparison. Layout."""
 
 Drawn = npt.NDArray[np.float32] | Array
 
 
-class Key(NamedTuple):
-    """An entry of a legend."""
+@dataclass(frozen=True)
+class Key:
+    """An entry of a legend; that of a curve shows and hides it."""
 
+    name: str
     color: str  # the name of the colour in the style
-    text: str
-    method: str = ""  # the method whose switch shows and hides the entry
+    dash: tuple[int, ...] = ()
+    shaded: bool = False  # whether it is an area
     hidden: bool = False  # at first
 
 
@@ -84,6 +90,11 @@ class Axis:
     dates: bool = False  # whether the values are dates
     log: bool = False
 
+    @cached_property
+    def source(self) -> ColumnDataSource:
+        """Return the drawn positions, and the curves of all charts over this axis."""
+        return ColumnDataSource({X: self.drawn})
+
     @classmethod
     def over(cls, values: Array, label: str, name: str = "", dates: bool = False) -> Axis:
         """Return an axis of numbers; the buttons of the page move the axis named "time"."""
@@ -96,7 +107,8 @@ class Axis:
     @classmethod
     def over_frequency(cls, values: Array, unit: str) -> Axis:
         """Return a logarithmic axis, with equally wide bins."""
-        shown = _range(values[0], max(values[-1], 2 * values[0]))  # a short record has only one
+        # A short record has only one.
+        shown = _range(0.95 * values[0], 1.05 * max(values[-1], 2 * values[0]))
         bins = np.arange(len(values))
         if len(values) > MOST:
             edges = np.geomspace(1, len(values), MOST // 2, endpoint=False)
@@ -173,7 +185,7 @@ class Chart:
     """A chart with curves, and only the necessary tools.
 
     Labels are plain text: to look for formulas in users' names, Bokeh would load a library. Several
-    `small` charts share a row. With `methods`, the chart is visible if one of them is switched on.
+    `small` charts share a row.
     """
 
     def __init__(  # noqa: PLR0913
@@ -185,13 +197,9 @@ class Chart:
         height: int = TALL,
         log: bool = False,
         small: bool = False,
-        methods: Sequence[str] = (),
     ) -> None:
         self.axis, self.label, self.limits, self.log = axis, label, limits, log
-        self.caption, self.small, self.methods = caption, small, methods
-        self.data = ColumnDataSource({X: axis.drawn})
-        self._curves: list[tuple[str, list[str], str]] = []  # name, tags, and values in words
-        self._said: dict[str, str] = {}
+        self.caption, self.small, self.keys = caption, small, list[Key]()
         box = "xbox_zoom" if log else "box_zoom"
         shown = self.figure = figure(
             x_range=axis.shown,
@@ -212,59 +220,63 @@ class Chart:
         shown.lod_threshold = None
         shown.yaxis.axis_label = PlainText(text=label)
         shown.xaxis.axis_label = PlainText(text=axis.label)
+        for each in (*[shown.xaxis] * axis.log, *[shown.yaxis] * log):
+            each.formatter = LogTickFormatter(min_exponent=MIN_EXPONENT)
         if log:
             shown.yaxis.ticker = _decades(limits)
+        elif height <= SMALL:
+            shown.yaxis.ticker = BasicTicker(desired_num_ticks=3)
         if axis.dates:
             shown.xaxis.formatter = DatetimeTickFormatter(**DATES)
 
     @property
-    def key(self) -> list[Key]:
-        """Return the legend, the last curve first; only methods with a text are included."""
-        key = []
-        for name, tags, _ in reversed(self._curves):
-            if "method" not in tags:
-                key.append(Key(tags[0], name))
-            elif name in self._said:
-                key.append(Key(tags[0], self._said[name], name, "hidden" in tags))
-        return key if len(key) > 1 else []
+    def legend(self) -> list[Key]:
+        """Return the legend: curves, the last one first, then areas; none of a single curve."""
+        curves = [key for key in reversed(self.keys) if not key.shaded]
+        return [*curves, *(key for key in self.keys if key.shaded)] if len(curves) > 1 else []
 
     @property
     def says(self) -> str:
-        """Describe the plot for blind readers: curves with first and last values, or all of few."""
-        curves = []
-        for name, _, values in sorted(self._curves, key=lambda curve: "hidden" in curve[1])[:TOLD]:
-            curves += [f"{name} {values}"] if values else []
-        scale = ", with a logarithmic axis" if self.log else ""
-        what = f"Plot of {self.label} over {self.axis.label}{scale}"
-        return f"{self.caption}. {what}: {'; '.join(curves)}."
+        """Describe the plot for blind readers."""
+        curves = "; ".join(key.name for key in self.keys)
+        return f"{self.caption}. Plot of {self.label} over {self.axis.label}: {curves}."
 
-    def _told(self, y: Array) -> str:
-        """Return the values of a curve in words, see `says`."""
-        rows = np.flatnonzero(np.isfinite(y))
-        if len(rows) > TOLD:
-            return f"from {number(float(y[rows[0]]))} to {number(float(y[rows[-1]]))}"
-        return ", ".join(f"{self.axis.values[i]:g}: {number(float(y[i]))}" for i in rows)
-
-    def line(
-        self, y: Array, name: str, tags: Sequence[str], stepped: bool = False, **style: Any
-    ) -> None:
-        """Add a curve in the colour of its first tag: `measured`, `truth`, `c0`...
+    def line(self, y: Array, key: Key, stepped: bool = False, **style: Any) -> None:
+        """Add a curve.
 
         With `stepped`, values are constant until the next sample, if all samples are drawn.
         """
-        self._curves.append((name, [*tags], self._told(y)))
         column = self._kept(self.axis.thinned(self._within(y)))
+        look: dict[str, Any] = {"line_width": 1.4, "line_dash": [*key.dash], **style}
         if stepped and self.axis.whole:
-            self._add(Step(x=X, y=column, mode="after", **style), name, tags)
+            self._add(Step(x=X, y=column, mode="after", **look), key)
         else:
-            self._add(Line(x=X, y=column, **style), name, tags)
+            self._add(Line(x=X, y=column, **look), key)
 
-    def method(self, y: Array, method: Method, said: str = "", **style: Any) -> None:
-        """Add a method's curve, with a switch; `said` is the text in the legend."""
-        if said:
-            self._said[method.name] = said
-        usual = {"line_width": 1.4, "line_dash": "dashed" if method.dashed else "solid"}
-        self.line(y, method.name, method.tags, **{**usual, **style})
+    def stems(self, y: Array, key: Key) -> None:
+        """Add vertical lines from 0 to the values."""
+        ends = (self._kept(each) for each in (0 * self.axis.drawn, self.axis.thinned(y)))
+        y0, y1 = ends
+        self._add(Segment(x0=X, x1=X, y0=y0, y1=y1, line_width=2), key)
+
+    def band(self, lower: Array, upper: Array, key: Key) -> None:
+        """Add a shaded area between two curves."""
+        edges = self.axis.edges(self._within(lower), self._within(upper))
+        names = [self._kept(edge) for edge in edges]
+        self._add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.25), key)
+
+    def shade(self, key: Key, **edges: float) -> None:
+        """Shade a part of the chart: from `left` to `right`, or from `bottom` to `top`."""
+        self.keys.append(key)
+        box = BoxAnnotation(fill_alpha=0.25, level="underlay", tags=[key.color], **edges)
+        self.figure.add_layout(box)
+
+    def mark(
+        self, at: float, role: str = "mark", dimension: Literal["width", "height"] = "height"
+    ) -> None:
+        """Add a dashed line across the chart."""
+        style: dict[str, Any] = {"line_dash": "dashed", "line_width": 1.2, "tags": [role]}
+        self.figure.add_layout(Span(location=at, dimension=dimension, **style))
 
     def add_angular_frequencies(self) -> None:
         """Add an axis of angular frequencies above, to an axis in Hz."""
@@ -277,34 +289,15 @@ class Chart:
         above = LogAxis(ticker=ticker, axis_label=PlainText(text="rad/s"), major_label_overrides=at)
         self.figure.add_layout(above, "above")
 
-    def stems(self, y: Array, name: str, tags: Sequence[str]) -> None:
-        """Add vertical lines from 0 to the values."""
-        self._curves.append((name, [*tags], self._told(y)))
-        ends = self._kept(np.zeros(len(self.axis.drawn))), self._kept(self.axis.thinned(y))
-        stems = Segment(x0=X, x1=X, y0=ends[0], y1=ends[1], line_width=2)
-        self._add(stems, name, tags)
-
-    def band(self, lower: Array, upper: Array, name: str, tags: Sequence[str]) -> None:
-        """Add a shaded area around a curve."""
-        edges = self.axis.edges(self._within(lower), self._within(upper))
-        names = [self._kept(edge) for edge in edges]
-        self._add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.18), name, tags)
-
-    def _add(self, glyph: Any, name: str, tags: Sequence[str]) -> None:
+    def _add(self, glyph: Any, key: Key) -> None:
         """Add a glyph without Bokeh's glyphs for selections, which take most of a page's time."""
+        self.keys.append(key)
         none: dict[str, Any] = dict.fromkeys(
             ("selection_glyph", "nonselection_glyph", "muted_glyph")
         )
-        renderer = GlyphRenderer(data_source=self.data, glyph=glyph, name=name, **none)
-        renderer.update(tags=[*tags], visible="hidden" not in tags)
+        renderer = GlyphRenderer(data_source=self.axis.source, glyph=glyph, name=key.name, **none)
+        renderer.update(tags=[key.color], visible=not key.hidden)
         self.figure.renderers.append(renderer)
-
-    def mark(
-        self, at: float, role: str = "mark", dimension: Literal["width", "height"] = "height"
-    ) -> None:
-        """Add a dashed line across the chart."""
-        style: dict[str, Any] = {"line_dash": "dashed", "line_width": 1.2, "tags": [role]}
-        self.figure.add_layout(Span(location=at, dimension=dimension, **style))
 
     def _within(self, y: Array) -> Array:
         """Clip a curve to the numbers of a canvas."""
@@ -315,8 +308,9 @@ class Chart:
         return np.clip(y, low - reach, high + reach)
 
     def _kept(self, values: Any) -> str:
-        name = f"y{len(self.data.data)}"
-        self.data.data[name] = values
+        data = self.axis.source.data
+        name = f"y{len(data)}"
+        data[name] = values
         return name
 
 
@@ -328,11 +322,6 @@ def _decades(limits: tuple[float, float]) -> FixedTicker:
     ticks = [m * 10.0**d for d in range(first, last + 1, step) for m in mantissas]
     minor = [m * 10.0**d for d in range(first, last + 1) for m in range(1, 10)]
     return FixedTicker(ticks=ticks, minor_ticks=minor if step == 1 else ticks)
-
-
-def dash(i: int) -> str:
-    """Return the style of the i-th line of one colour."""
-    return "solid" if i == 0 else _DASHES[(i - 1) % len(_DASHES)]
 
 
 def limits(values: Sequence[Array], margin: float = 0.1) -> tuple[float, float]:
@@ -350,10 +339,3 @@ def log_limits(values: Array) -> tuple[float, float]:
     positive = values[np.isfinite(values) & (values > 0)]
     low, high = (float(f(positive)) for f in (np.min, np.max)) if len(positive) else (1.0, 1.0)
     return 0.7 * low, 1.5 * high
-
-
-def padded(y: Array, length: int, first: bool = False) -> Array:
-    """Return a curve padded with NaN in front (`first`: at the end), `(length,)`."""
-    whole = np.full(length, np.nan)
-    whole[slice(len(y)) if first else slice(length - len(y), None)] = y
-    return whole

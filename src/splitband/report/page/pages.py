@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,177 +15,202 @@ import numpy.typing as npt
 from splitband.checks.inspection import Inspection
 from splitband.checks.model import ModelCheck
 from splitband.checks.residuals import CONFIDENCE, ResidualTests
-from splitband.checks.responses import SHARE, Responses, respond_over_range
+from splitband.checks.responses import Responses, respond_over_range
+from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
-from splitband.forecasters.base import Forecaster, all_parts, parts_of, titled
+from splitband.forecasters.base import Forecaster, all_parts, titled
 from splitband.forecasters.grey_box import GreyBox
+from splitband.forecasters.held_out import fit_ahead, forecasts, many_origins
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.network import Network
-from splitband.metrics import tenths
-from splitband.models.labels import SIMULATOR
+from splitband.metrics import fit_percent, tenths
 from splitband.report import tables, words
 from splitband.report.environment import environment
-from splitband.report.numbers import complex_in_words, percent
-from splitband.report.page import plots
-from splitband.report.page.charts import Chart
-from splitband.report.page.parts import Method, Page, Section, Usage, method_styles
-from splitband.report.predictions import Predicted, predicted, what_was_known
-from splitband.report.tables import ordered
+from splitband.report.numbers import complex_in_words, number
+from splitband.report.page import frequency, model, over_time
+from splitband.report.page.over_time import Run
+from splitband.report.page.parts import Look, Page, Section, Usage, looks
+from splitband.report.predictions import predicted
+from splitband.report.table import Column, Table
+from splitband.report.tables import columns, ordered
 from splitband.runtime.arrays import Array
+from splitband.runtime.files import sha256_of
 
 MAX_BODE = 4
-"""Largest number of pairs of input and output with gain and phase, too. Bounds the time."""
+"""Largest number of pairs of input and output with gain and phase, too. Layout."""
+NEAR = 1, 10
+"""Samples ahead for which fits are shown."""
+NEAR_SAMPLES = 2_000
+"""First samples after the training part in which these forecasts lie. Bounds the time."""
 
 
 def of_comparison(result: Comparison, used: Usage) -> Page:
-    """Return the page of a comparison: the answer, its plot, the other methods, then details."""
-    record, trial, best = result.record, result.require_trial(), result.recommended
+    """Return the page of a comparison: the answer, the record, the methods, then the model."""
+    record, train, best = result.record, result.plan.train, result.recommended
     listed = tables.of_comparison(result)
-    answer = f"Recommended: {titled(best, listed.label(best))}"
-    called = {name: listed.label(name) for name in ordered(trial, result.fits)}
-    leaving = {name for name in called if name != best and tables.leaving_range(result, name)}
-    styles = method_styles(called, best, {*listed.minor, *leaving})
-    every = [runs for runs in predicted(result) if runs.predictions]
-    first = [runs for runs in every if runs.protocol == every[0].protocol]
-    shown = [plots.OverTime(p, styles, "" if i else "time") for i, p in enumerate(first)]
-    curves = [plot for over_time in shown for plot in (*over_time.outputs(), *over_time.inputs())]
-    left, errors = [p for s in shown for p in s.residuals()], [p for s in shown for p in s.errors()]
-    warnings = (*result.warnings, *words.warnings(result), *words.of_gaps(record))
-    warned = [*map(words.sentence, warnings)]
-    plan = result.plan
-    why = " ".join(words.why(trial, plan.train, listed.labels, plan.ahead))
-    headline = [(of, "\n".join(facts)) for of, facts in words.headline(result)]
-    ahead = plots.errors_ahead(result, styles)
+    labels = {name: listed.label(name) for name in ordered(result.trial, result.fits)}
+    simulators = [n for n, m in result.methods.items() if "simulator" in m.needs and not m.random]
+    drawn = looks(labels, listed.minor, simulators)
+    runs = over_time.runs_of(result, drawn)
+    names = ["time", *[""] * len(runs)]
+    plots = [p for r, n in zip(runs, names, strict=False) for p in over_time.over_time(r, drawn, n)]
+    at, views = plots[0].axis.values, {}
+    if runs[0].record is record and train < len(record):
+        views = {"Whole record": (at[0], at[-1]), "Test": (at[train], at[-1])}
+    warned = (*result.warnings, *words.further(result), *words.of_gaps(record))
+    items = [*map(words.sentence, warned)]
+    answer = f"Recommended: {titled(best, labels[best])}"
     sections = [
-        Section("answer", answer, words.afterwards(result), warned, facts=headline),
-        Section("plot", "Measured and predicted", [what_was_known(result)], plots=curves),
-        Section("methods", "All methods", [why], tables=[listed]),
-        *([Section("ahead", "Error by samples ahead", [_AHEAD], plots=ahead)] if ahead else []),
-        _residuals([*words.verdicts(result)], result.residual_tests, "Residuals", left),
-        *_responses(result, styles),
-        *_next_steps(used),
-        *map(_of_linear, _linear_of(result)),
+        Section("answer", answer, words.answer(result), plots),
+        *([Section("notes", "To keep in mind", items=items)] if items else []),
+        *_by_band(runs[0], drawn, _cutoff(result, drawn)),
+        _methods(result, listed, drawn),
+        *_residuals(result.residual_tests),
+        *_responses(result.model, labels[best]),
+        *_linear(result.model),
         *_unknown([fits[0].fitted for fits in result.fits.values()]),
-        Section("errors", "Error over horizon", [_HORIZON], plots=errors, folded=True),
-        *_further([p for p in every if p not in first or p.protocol == "start"], styles),
-        _bands(result),
-        *_trained(result, styles),
-        _settings(_flat(_shared(result)), used),
+        *_seeds(result, listed),
+        *_made(used),
     ]
-    title, at, train = record.name or "a record", shown[0].axis.values, plan.train
-    views = {"Whole record": (at[0], at[-1])}
-    if first[0].protocol != "test" and train < len(at):
-        views |= {"Training part": (at[0], at[train - 1]), "After it": (at[train], at[-1])}
-    return Page(title, words.lead(record), sections, [*styles.values()], views)
+    return Page(record.name or "a record", words.lead(record), sections, views)
 
 
-_AHEAD = (
-    "RMSE of forecasts from many origins, each with the measurements until then. Methods are "
-    "chosen by such forecasts of held-out samples."
-)
-_HORIZON = (
-    "RMSE up to each horizon: the error of a model that does not drift stays flat. Lines: the "
-    "median of a method's trainings, which is its prediction; shaded: the range of all of them."
-)
+def _cutoff(result: Comparison, names: Iterable[str]) -> float | None:
+    """Return the cut-off in Hz of the first of these methods that has one."""
+    models = (part for name in names for part in all_parts(result.fits[name][0].fitted.untrained()))
+    bands = (part.bands for part in models if isinstance(part, Network))
+    return next((each.cutoff for each in bands if each is not None and each.cutoff), None)
 
 
-def _shared(result: Comparison) -> dict[str, object]:
-    """Return the common settings of all methods, without those of a search."""
-    plan = result.plan
-    facts = {**plan.as_json(), "choice": None}
-    if not plan.searched:
-        return facts
-    searched = {"settings", *asdict(plan.sizes)}
-    common = {name: value for name, value in facts.items() if name not in searched}
-    return common | {"warmup": plan.settings.warmup}
-
-
-def _residuals(
-    verdicts: Sequence[str], tests: Sequence[ResidualTests], title: str, further: Sequence[Chart]
-) -> Section:
-    """Return the section of the residual tests with their verdicts, and further plots."""
-    text = [
-        " ".join(verdicts),
-        f"Shaded: the band that holds {100 * CONFIDENCE:.0f} % of the values by chance. Residuals "
-        "that depend on an input show dynamics that the model misses; residuals that depend on "
-        "their own past show a disturbance, or such dynamics.",
-    ]
-    stems = [plots.correlation(t.output, c) for t in tests for c in (t.whiteness, *t.inputs)]
-    return Section("residuals", title, text if tests else (), plots=[*stems, *further])
-
-
-def _responses(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
-    """Return the section of the responses of the recommended and of the linear model."""
-    models = {result.recommended: result.model}
-    for linear in _linear_of(result):
-        models.setdefault(linear.name, linear)
-    every = {name: respond_over_range(model) for name, model in models.items()}
-    by_model = {name: responses for name, responses in every.items() if responses}
-    if not by_model:
-        return []
-    outside = [styles[name].label for name, model in models.items() if "simulator" in model.needs]
-    shown = " and ".join(styles[name].label for name in by_model)
-    remark = f"Of {shown}: {outside[0]} needs its simulator's output." if outside else ""
-    few = result.record.nu * result.record.ny <= MAX_BODE
-    return [_responses_of(by_model, styles, remark, few)]
-
-
-def _responses_of(
-    by_model: Mapping[str, Sequence[Responses]],
-    styles: Mapping[str, Method],
-    remark: str = "",
-    bode: bool = True,
-) -> Section:
-    """Return the section of step and Bode responses at the operating points of the models."""
-    most = max(by_model.values(), key=len)
+def _by_band(run: Run, drawn: Mapping[str, Look], cutoff: float | None) -> list[Section]:
+    """Return the section of errors over frequency."""
+    plots = frequency.errors_by_band(run, drawn, cutoff)
     text = (
-        "Change of the output for a step of 1, from small steps of one input at a time around the "
-        f"mean of the training inputs, {most[0].operating_point}"
+        "The spectrum of each error over that of the record, as a ratio of amplitudes. At 100 % a "
+        "method knows no more of a band than the mean; a band with little power counts little."
     )
-    slope = "; gain and phase are the Fourier transform of its slope. The upper axis is in rad/s."
-    text += slope if bode else ". Gain and phase: splitband check."
-    if len(most) > 1:
+    if cutoff is not None:
+        text += f" Dashed: the cut-off at {number(cutoff)} Hz between the bands of two models."
+    if not run.scored and "training" in run.parts:
+        text += " These are the samples that the methods were trained on."
+    return [Section("bands", "Error by frequency band", [text], plots)] if plots else []
+
+
+def _methods(result: Comparison, listed: Table, drawn: Iterable[str]) -> Section:
+    """Return the section of the table of methods."""
+    plan, best = result.plan, result.recommended
+    kinds = "N ahead", "test", "forecast"
+    fits = [c for kind in kinds for c in columns(result, f"{kind} fit %")]
+    named = [name for name in listed.rows if name in drawn or name in listed.minor]
+    near = _near(result, named) if plan.ahead is None else columns(result, *_AHEAD)
+    errors = columns(result, "test RMSE", "forecast RMSE", *[] if fits else ["held-out RMSE"])
+    shown = [*fits, *near, *errors, *columns(result, "in interval")]
+    text = words.why(result.require_trial(), plan.train, listed.labels, plan.ahead)
+    if chosen := result.fits[best][0].description:
+        text.append(words.sentence(f"Recommended: {chosen}"))
+    table = replace(listed, columns=shown, details={})
+    return Section("methods", "All methods", [" ".join(text)], tables=[table])
+
+
+_AHEAD = "1 ahead fit %", "N/10 ahead fit %"
+
+
+def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
+    """Return the fits of these methods a few samples ahead of origins on unseen samples."""
+    record, first = result.record, result.plan.train
+    if result.tests:
+        record = result.tests[0]
+        first = len(record) - max((len(fit.tests[0]) for fit in _tested(result)), default=0)
+    end = min(len(record), first + NEAR_SAMPLES)
+    origins = many_origins(first, first, end, NEAR[-1])[::2]
+    fits = dict[str, list[Array]]()
+    for name in names if origins else ():
+        trained, other = result.trained(name), bool(result.tests)
+        try:
+            made = forecasts(trained, record, origins, other and not trained.anchored)
+        except ValueError:  # for want of a simulator, as in the table
+            continue
+        fits[name] = [fit_ahead(record, made, ahead) for ahead in NEAR]
+    note = f"fit of forecasts so many samples ahead of {len(origins)} origins, measured until then"
+    return [
+        Column(
+            "near fit %",
+            "percent",
+            {name: float(of[k][i]) for name, of in fits.items()},
+            column if record.ny > 1 else "",
+            record.name if result.tests else "",
+            note=note,
+            ahead=ahead,
+        )
+        for k, ahead in enumerate(NEAR)
+        for i, column in enumerate(record.columns if fits else ())
+    ]
+
+
+def _tested(result: Comparison) -> list[Fit]:
+    return [fit for fit in result.medians.values() if fit.tests]
+
+
+def _residuals(tests: Sequence[ResidualTests]) -> list[Section]:
+    """Return the section of the residual tests."""
+    text = [
+        " ".join(test.finding() for test in tests),
+        "Shown as they are tested: residuals and inputs are prewhitened, by the autoregressive "
+        "model of the residuals, but for the residuals' own past. Lags reach to twice the slowest "
+        f"period. Shaded: {100 * CONFIDENCE:.0f} % of the values by chance. Values outside at "
+        "positive lags show an effect of the input that the model misses; at negative lags, "
+        "feedback from the output to the input. The F test takes all lags and inputs together, and "
+        "powers of the output: it finds small effects that no single lag shows.",
+    ]
+    plots = [model.correlation(t.output, c) for t in tests for c in (t.whiteness, *t.inputs)]
+    return [Section("residuals", "Residual tests", text, plots)] if tests else []
+
+
+def _responses(recommended: Forecaster, label: str) -> list[Section]:
+    """Return the section of the step and Bode responses of a model, if it has inputs."""
+    title = "Step and Bode responses"
+    if "simulator" in recommended.needs and recommended.require_fitted().record.nu:
+        text = f"{label} needs its simulator's output and has no responses by itself."
+        return [Section("responses", title, [words.sentence(text)])]
+    every = respond_over_range(recommended)
+    if not every:
+        return []
+    first = every[0]
+    text = (
+        f"Of {label}: the change of the output for a step of 1 of one input at a time, by small "
+        f"steps around the mean of the training inputs, {first.operating_point}."
+    )
+    if len(every) > 1:
         text += (
-            f" Dashed and dotted: all inputs at {percent(SHARE)} and {percent(1 - SHARE)} of their "
-            "ranges in training. Where the curves differ, the model is nonlinear: its gain depends "
-            "on the operating point."
+            " Dashed and dotted: around other points of their ranges. Where the curves differ, "
+            "the gain depends on the operating point."
         )
-    remarks = dict.fromkeys(sentence for of in by_model.values() for sentence in of[0].remarks)
-    drawn = plots.responses(by_model, styles, bode)
-    title = "Step and Bode responses" if bode else "Step responses"
-    return Section("responses", title, [remark, text, *remarks], (), tables.of_gains(most), drawn)
+    bode = len(first.inputs) * len(first.columns) <= MAX_BODE
+    plots = model.responses(recommended, every, bode)
+    return [Section("responses", title, [text, *first.remarks], plots)]
 
 
-def _linear_of(result: Comparison) -> list[Linear]:
-    """Return the fitted linear model, if among the methods."""
-    every = (fit.fitted for fits in result.fits.values() for fit in fits)
-    return [fitted for fitted in every if isinstance(fitted, Linear)][:1]
-
-
-def _of_linear(fitted: Linear) -> Section:
-    """Return the section of a linear model: poles, zeros, order, gain."""
-    record, model = fitted.require_fitted().record, fitted.model
-    over_order, gains = plots.orders(model), plots.gains(record, model)
-    text = [fitted.describe() + "."]
-    if over_order:
-        text.append(
-            "Singular values are the correlations of the past with the future of the outputs: "
-            "a state for each that stands out. The order is the smallest whose held-out "
-            "simulation error is at most one standard error above the least."
-        )
-    if gains:
-        text.append("Shaded: the 95 % interval of the gain, by its standard error.")
+def _linear(fitted: Forecaster) -> list[Section]:
+    """Return the section of the poles and zeros of a linear model."""
+    if not isinstance(fitted, Linear):
+        return []
+    record, of = fitted.require_fitted().record, fitted.model
     pairs = product(enumerate(record.inputs), enumerate(record.columns))
     zeros = [(f"zeros, {u} to {y}", _roots(fitted.zeros(j, i))) for (i, u), (j, y) in pairs]
-    poles = [tables.of_poles(fitted)] if model.order else []
-    drawn, title = [*over_order, *gains], "Linear model: poles, zeros, order, gain"
-    return Section("linear", title, text, (), poles, drawn, facts=zeros, folded=True)
+    poles = [tables.of_poles(fitted)] if of.order else []
+    text = [fitted.describe() + "."]
+    return [Section("linear", "Poles and zeros", text, tables=poles, facts=zeros)]
+
+
+def _roots(roots: npt.NDArray[np.complex128]) -> str:
+    """Return zeros in a line, with conjugate pairs as one."""
+    return ", ".join(complex_in_words(root) for root in roots if root.imag >= 0) or "none"
 
 
 def _unknown(models: Sequence[Forecaster]) -> list[Section]:
     """Return the section of the unknown terms of an equation, of the first model with any."""
-    for model in (part for each in models for part in all_parts(each)):
-        if isinstance(model, GreyBox) and (drawn := plots.unknown(model)):
+    for each in (part for whole in models for part in all_parts(whole)):
+        if isinstance(each, GreyBox) and (drawn := model.unknown(each)):
             text = (
                 "What was found in place of the unknown terms of the equation, over the ranges of "
                 "their quantities in training. Outside of them, a term is held. Shaded: the range "
@@ -192,111 +220,58 @@ def _unknown(models: Sequence[Forecaster]) -> list[Section]:
     return []
 
 
-def _roots(roots: npt.NDArray[np.complex128]) -> str:
-    """Return zeros in a line, with conjugate pairs as one."""
-    return ", ".join(complex_in_words(root) for root in roots if root.imag >= 0) or "none"
-
-
-def _further(every: Sequence[Predicted], styles: Mapping[str, Method]) -> list[Section]:
-    """Return the sections of a second forecast, of simulations, of components."""
-    sections = []
-    for runs in every:
-        drawn = plots.OverTime(runs, styles)
-        ahead = runs.protocol == "forecast"
-        caption = runs.says[:1].upper() + runs.says[1:]
-        title = caption if ahead else "Simulation from the start of the record"
-        name = "forecast" if ahead else "runs"
-        sections.append(Section(name, title, plots=drawn.outputs(), folded=True))
-        if parts := [] if ahead else drawn.components():
-            names = ", ".join(styles[n].label for n, y in runs.predictions.items() if y.components)
-            text = (
-                "A model's output is the sum of these parts. All curves are without their means. "
-                f"Switch on a method to see its parts: {names}."
-            )
-            title = "Components of hybrid and split models"
-            sections.append(Section("components", title, [text], plots=parts, folded=True))
-    return sections
-
-
-def _bands(result: Comparison) -> Section:
-    """Return the section of the spectrum and the cut-offs between the bands."""
-    bands, part = result.plan.bands, result.record[: result.plan.train]
-    text, choices = [words.of_bands(bands, part)], [bands.choice if bands.cutoff else None]
-    for name, fits in result.fits.items():
-        fitted = fits[0].fitted
-        trained = fitted._trained_in if isinstance(fitted, Network) else None
-        if trained is not None and trained.cutoff != bands.cutoff:
-            text.append(f"{name}: {words.of_bands(trained, part)}")
-            choices.append(trained.choice)
-    drawn = plots.spectrum(part, bands.cutoff, _bases(result))
-    drawn += [plots.cutoffs(choice) for choice in dict.fromkeys(choices) if choice is not None]
-    return Section("spectrum", "Spectrum and cut-off", text, plots=drawn, folded=True)
-
-
-def _bases(result: Comparison) -> dict[str, Array]:
-    """Return the training-part outputs of fitted models in place of a simulator in hybrids.
-
-    The first samples, the warm-up, are the record's.
-    """
-    train, record = result.plan.train, result.record
-    bases: dict[str, Array] = {}
-    for fits in result.fits.values():
-        run, method = fits[0], fits[0].fitted
-        parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
-        slow = [part.slow_label for part in parts_of(method)]
-        for label in [name for name in slow if name in parts and name != SIMULATOR]:
-            whole = record.y.copy()
-            whole[len(whole) - len(parts[label]) :] = parts[label]
-            bases.setdefault(label, whole[:train])
-    return bases
-
-
-def _trained(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
-    """Return the sections of training curves and of the search."""
-    sections = []
-    if drawn := plots.losses(result.fits, styles):
-        text = (
-            "Loss over the epochs of each training, for the networks that are switched on. A line "
-            "that still falls at its end would gain from a longer training."
-        )
-        sections.append(Section("training", "Training", [text], plots=drawn, folded=True))
-    if result.attempts:
-        listed = [tables.of_attempts(result.attempts)]
-        text = (
-            "Networks were trained on three quarters of the training samples, and scored on the "
-            "rest. The best trainings then went on, on all training samples: the table of methods "
-            "has their steps, too."
-        )
-        sections.append(Section("search", "What was tried", [text], tables=listed, folded=True))
-    return sections
+def _seeds(result: Comparison, listed: Table) -> list[Section]:
+    """Return the section of the spread over the seeds of methods with several trainings."""
+    every = next(runs for runs in predicted(result) if runs.predictions)
+    found = list[Column]()
+    for i, column in enumerate(every.record.columns):
+        fits = {
+            name: [float(fit_percent(every.truth(p), p.y)[i]) for p in of]
+            for name, of in every.trainings.items()
+            if len(of) > 1
+        }
+        for what, measure in (("lowest", min), ("median", statistics.median), ("highest", max)):
+            values = {name: float(measure(of)) for name, of in fits.items()}
+            channel = column if every.record.ny > 1 else ""
+            found.append(Column(f"{what} fit %", "percent", values, channel, ranked=False))
+    counts = {n: float(len(result.fits[n])) for n in listed.rows if len(result.fits.get(n, ())) > 1}
+    if not counts:
+        return []
+    found.append(Column("trainings", "count", counts, ranked=False))
+    title = (
+        f"Fits of single trainings, which differ by their seed: {every.says}. The prediction of a "
+        "method is the median of theirs, and usually has a better fit"
+    )
+    table = Table(title, found, dict.fromkeys(counts, ""), labels=listed.labels)
+    return [Section("seeds", "Spread over seeds", tables=[table])]
 
 
 def of_check(
-    result: ModelCheck, model: Forecaster, responses: Sequence[Responses], used: Usage
+    result: ModelCheck, checked: Forecaster, responses: Sequence[Responses], used: Usage
 ) -> Page:
     """Return the page of a check of a model."""
     record, name = result.record, result.method
-    stable = model.require_fitted().report.stable
-    said = "simulation" if stable else "predictions one sample ahead"
-    shown = Predicted("start", said, record, {name: result.simulation})
-    styles = {name: Method(name, label=model.in_words() or name)}
-    drawn = plots.OverTime(shown, styles)
-    facts = []
-    for i, column in enumerate(record.columns):
-        fits = [f"fit {tenths(of[i])} %, {horizon}" for horizon, of in result.fits.items()]
-        facts.append((column, "\n".join(fits)))
-    findings, title = [test.finding() for test in result.tests], "Is the model good? Residual tests"
-    answer = f"{result.outcome.capitalize()}: {result.title or name}"
-    curves = [*drawn.outputs(), *drawn.inputs()]
-    sections = [
-        Section("answer", answer, result.in_words(), plots=curves, facts=facts),
-        _residuals(findings, result.tests, title, []),
+    label = checked.in_words() or name
+    stable = checked.require_fitted().report.stable
+    y = np.full(record.y.shape, np.nan)
+    y[len(y) - len(result.simulation) :] = result.simulation.y
+    run = Run(record, "simulation" if stable else "predictions one sample ahead", {name: y})
+    drawn = looks({name: label})
+    facts = [
+        (column, "\n".join(f"fit {tenths(of[i])} %, {far}" for far, of in result.fits.items()))
+        for i, column in enumerate(record.columns)
     ]
-    if responses:
-        sections.append(_responses_of({name: responses}, styles))
-    if isinstance(model, Linear):
-        sections.append(_of_linear(model))
-    sections += [*_unknown([model]), _settings([], used)]
+    answer = f"{result.outcome.capitalize()}: {result.title or name}"
+    plots = over_time.over_time(run, drawn)
+    sections = [
+        Section("answer", answer, result.in_words(), plots, facts=facts),
+        *_by_band(run, drawn, None),
+        *_residuals(result.tests),
+        *(_responses(checked, label) if responses else []),
+        *_linear(checked),
+        *_unknown([checked]),
+        *_made(used),
+    ]
     return Page(f"{name} on {record.name or 'a record'}", words.lead(record), sections)
 
 
@@ -314,40 +289,24 @@ def of_checks(checks: Mapping[str, ModelCheck], used: Usage) -> Page:
 
 def of_inspection(found: Inspection, used: Usage) -> Page:
     """Return the page of an inspection of a record."""
-    record, bands = found.record, found.bands
+    record = found.record
     facts = [(c.name, f"{c.role}: {c.range}; {', '.join(c.reasons)}") for c in found.columns]
     items = [words.sentence(text) for text in (*found.warnings, *words.of_gaps(record))]
-    drawn = plots.spectrum(record, bands.cutoff, {})
-    drawn += [plots.cutoffs(bands.choice)] if bands.choice else []
+    drawn = frequency.spectrum(record, found.bands.cutoff)
     listed = [] if found.simulator is None else [tables.of_oracle(found.simulator)]
     said = [words.sentence(text) for text in found.in_words()]
-    answer = Section("answer", "What it holds", said, items, listed, drawn, facts=facts)
-    sections = [answer, *_next_steps(used), _settings([], used)]
-    return Page(record.name or "a record", words.lead(record), sections)
+    answer = Section("answer", "What it holds", said, drawn, listed, items, facts=facts)
+    return Page(record.name or "a record", words.lead(record), [answer, *_made(used)])
 
 
-def _next_steps(used: Usage) -> list[Section]:
-    """Return the section of commands for the model, if any."""
-    return [Section("next", "What to do next", code=used.commands)] if used.commands else []
-
-
-def _settings(facts: Sequence[tuple[str, str]], used: Usage) -> Section:
-    """Return the section of settings and versions."""
+def _made(used: Usage) -> list[Section]:
+    """Return the sections of commands for the model, and of how the page was made."""
+    use = [Section("next", "Use it", code=used.commands)] if used.commands else []
     made = environment()
-    versions = ", ".join(f"{name} {v}" for name, v in made["versions"].items())
-    pairs = [("command", used.asked), *facts, ("versions", versions)]
-    pairs += [("machine", made["machine"]), ("commit", made["commit"])]
-    shown = [(name, value) for name, value in pairs if value]
-    return Section("settings", "Settings and versions", facts=shown, folded=True)
-
-
-def _flat(facts: Mapping[str, object], before: str = "") -> list[tuple[str, str]]:
-    """Return nested facts as pairs of a name and a text, without empty ones."""
-    pairs: list[tuple[str, str]] = []
-    for name, value in facts.items():
-        if isinstance(value, Mapping):
-            pairs += _flat(value, f"{before}{name} ")
-        elif value not in (None, "", (), [], {}):
-            text = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
-            pairs.append((f"{before}{name}".replace("_", " "), text))
-    return pairs
+    facts = [("date", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"), ("command", used.asked)]
+    facts += [
+        (f"SHA-256 of {each}", sha256_of(each)) for each in used.files if Path(each).is_file()
+    ]
+    facts += [("versions", ", ".join(f"{name} {v}" for name, v in made["versions"].items()))]
+    facts += [("machine", made["machine"]), ("commit", made["commit"])]
+    return [*use, Section("made", "How it was made", facts=[(n, v) for n, v in facts if v])]

@@ -12,6 +12,11 @@ from splitband.report.table import Table
 if TYPE_CHECKING:
     from splitband.report.page.charts import Chart
 
+MOST_DRAWN = 6
+"""Largest number of methods with curves. Layout."""
+DASHES = (), (9, 4), (2, 3), (9, 3, 2, 3), (16, 4), (4, 4)
+"""Lengths of dashes and gaps, in pixels: curves differ without their colours, too."""
+
 
 @dataclass(frozen=True, eq=False)
 class Section:
@@ -20,44 +25,42 @@ class Section:
     name: str  # the anchor
     title: str  # the heading
     words: Sequence[str] = ()  # paragraphs
-    items: Sequence[str] = ()  # warnings, above the paragraphs
-    tables: Sequence[Table] = ()  # below the paragraphs
     plots: Sequence[Chart] = ()
+    tables: Sequence[Table] = ()
+    items: Sequence[str] = ()  # warnings
     code: Sequence[tuple[str, str]] = ()  # pairs of a purpose and lines to copy
     facts: Sequence[tuple[str, str]] = ()  # pairs of a name and a value
-    folded: bool = False  # whether the section is closed until clicked
 
 
 @dataclass(frozen=True)
-class Method:
-    """A method with a switch on the page."""
+class Look:
+    """The look of a method's curves, equal in all plots."""
 
     name: str  # name of the forecaster
-    color: int = 0  # index of the colour in the palette
-    dashed: bool = False  # whether the colour repeats another method's
-    recommended: bool = True
-    shown: bool = True  # whether the switch is on at first
-    label: str = ""  # the method in words
+    label: str  # the method in words
+    number: int = 0  # place among the drawn methods; 0: the recommended one
 
     @property
-    def tags(self) -> list[str]:
-        """Return the tags of curves, for colours and switches in the page's script."""
-        return [f"c{self.color}", "method", *([] if self.shown else ["hidden"])]
+    def color(self) -> str:
+        """Return the name of the colour in the page's style."""
+        return f"c{self.number % len(PALETTE)}"
+
+    @property
+    def dash(self) -> tuple[int, ...]:
+        """Return the lengths of dashes and gaps."""
+        return DASHES[self.number % len(DASHES)]
 
 
-def method_styles(
-    labels: Mapping[str, str], recommended: str, minor: Collection[str] = ()
-) -> dict[str, Method]:
-    """Return the styles by method; if colours run out, they repeat, dashed.
+def looks(
+    labels: Mapping[str, str], minor: Collection[str] = (), needed: Collection[str] = ()
+) -> dict[str, Look]:
+    """Return the looks of the methods with curves: the first ones that are not `minor`.
 
-    `labels` are methods in words, in the order of the table; `minor` rows are off at first.
+    `labels` are methods in words, in the order of the table; `needed` ones have curves, too.
     """
-    return {
-        name: Method(
-            name, i % len(PALETTE), i >= len(PALETTE), name == recommended, name not in minor, label
-        )
-        for i, (name, label) in enumerate(labels.items())
-    }
+    first = [name for name in labels if name not in {*minor} - {*needed}][:MOST_DRAWN]
+    drawn = [*first, *(name for name in labels if name in needed and name not in first)]
+    return {name: Look(name, labels[name], i) for i, name in enumerate(drawn)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +69,7 @@ class Page:
 
     title: str
     lead: str  # the line below the title
-    sections: Sequence[Section]  # the switches of the methods are below the first one
-    methods: Sequence[Method] = ()  # methods with curves
+    sections: Sequence[Section]
     views: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # buttons: time ranges
 
     @property
@@ -78,7 +80,8 @@ class Page:
 
 @dataclass(frozen=True)
 class Usage:
-    """The command of a result, and commands for its model."""
+    """The command of a result, its data files, and commands for its model."""
 
     commands: Sequence[tuple[str, str]] = ()  # pairs of a purpose and a command or Python code
     asked: str = ""  # the command of the page
+    files: Sequence[str] = ()  # paths of records

@@ -1,0 +1,129 @@
+"""Plot what a model is: residuals and their tests, step and Bode responses, unknown terms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from splitband.checks.residuals import Correlation
+from splitband.checks.responses import SHARE, Responses
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.grey_box import GreyBox
+from splitband.forecasters.linear import Linear
+from splitband.linear.uncertainty import NORMAL
+from splitband.report.numbers import number
+from splitband.report.page.charts import LOW, SMALL, Axis, Chart, Key, limits
+from splitband.report.page.parts import DASHES
+from splitband.runtime.arrays import Array
+
+SILENT = 1e-12
+"""Smallest gain in a plot: -240 dB. Rounding."""
+
+
+def correlation(output: str, test: Correlation) -> Chart:
+    """Return a plot of the correlation of residuals by lag, with the interval of no correlation."""
+    most = (len(test.around) - 1) // 2
+    own = test.of == "residuals"
+    values = test.around[most + 1 :] if own else test.around
+    lags = np.arange(1.0 if own else -most, most + 1)
+    chance = f"p = {number(test.p)}" if test.p >= 0.001 else "p < 0.001"
+    scale = max(2 * test.band, 1.1 * float(abs(values).max()))
+    caption = f"{output}, own past (Ljung-Box: {chance})"
+    if not own:
+        caption = f"{output} and {test.of}, prewhitened (F test: {chance})"
+    axis = Axis.over(lags, "lag (samples)")
+    chart = Chart(axis, "correlation", (-scale, scale), caption, SMALL, small=True)
+    chart.shade(Key("by chance", "c0", shaded=True), bottom=-test.band, top=test.band)
+    chart.line(values, Key("residuals", "measured"), line_width=1.2)
+    chart.mark(0.0, "zero", "width")
+    if not own:
+        chart.mark(0.0, "zero")
+    return chart
+
+
+def responses(model: Forecaster, every: Sequence[Responses], bode: bool) -> list[Chart]:
+    """Return plots of step responses by input and output; with `bode`, also of gain and phase.
+
+    There is one curve for each operating point.
+    """
+    first, stable = every[0], model.require_fitted().report.stable
+    frequencies, _ = first.frequency_response()
+    looks = dict(zip((None, SHARE, 1 - SHARE), DASHES, strict=False))
+    keys = [Key(f"inputs at {r.place}", "c0", looks[r.share]) for r in every]
+    gains = [response.frequency_response()[1] for response in every]
+    time, over = Axis.over(first.time, "time (s)"), Axis.over_frequency(frequencies, "Hz")
+    plots = []
+    for (i, u), (j, y) in product(enumerate(first.inputs), enumerate(first.columns)):
+        of, pair = [gain[:, j, i] for gain in gains], f"{u} to {y}"
+        ends = ", ".join(dict.fromkeys(_in_words(r.gains[j, i]) for r in every)) if stable else ""
+        caption = f"Step, {pair}: {ends}" if ends else f"Step, {pair}"
+        plots.append(_curves(time, "change", caption, keys, [r.y[:, j, i] for r in every]))
+        if bode:
+            sizes = [_decibels(np.abs(gain)) for gain in of]
+            plots.append(_curves(over, "gain (dB)", f"Gain, {pair}", keys, sizes))
+            if isinstance(model, Linear):
+                _add_interval(plots[-1], model, first, sizes[0], (j, i))
+            phases = [np.degrees(np.unwrap(np.angle(gain))) for gain in of]
+            plots.append(_curves(over, "phase (degrees)", f"Phase, {pair}", keys, phases))
+    return plots
+
+
+def _in_words(gain: float) -> str:
+    if np.isinf(gain):
+        return "integrating"
+    return "not settled" if np.isnan(gain) else f"static gain {number(gain)}"
+
+
+def _add_interval(
+    chart: Chart, model: Linear, first: Responses, gain: Array, pair: tuple[int, int]
+) -> None:
+    """Add the 95 % interval of the gain of a linear model, if it is known."""
+    estimate = model.model.uncertainty
+    if estimate is None or estimate.response.shape[2] != len(first.inputs):
+        return
+    share = NORMAL * estimate.response_errors[:, *pair] / estimate.response[:, *pair]
+    if np.isfinite(share).all():
+        angles = 2 * np.pi * chart.axis.values * first.sampling_time
+        share = np.interp(angles, estimate.angles, share)
+        edges = gain + _decibels(np.maximum(1 - share, 1e-3)), gain + _decibels(1 + share)
+        chart.band(*edges, Key("95 % interval", "c0", shaded=True))
+
+
+def _curves(
+    axis: Axis, label: str, caption: str, keys: Sequence[Key], curves: Sequence[Array]
+) -> Chart:
+    """Return a small plot of curves; frequencies are also in rad/s."""
+    chart = Chart(axis, label, limits(curves), caption, LOW, small=True)
+    if axis.log:
+        chart.add_angular_frequencies()
+    for key, y in zip(reversed(keys), reversed(curves), strict=True):
+        chart.line(y, key, line_width=1.5)
+    return chart
+
+
+def _decibels(gain: Array) -> Array:
+    return np.asarray(20 * np.log10(np.maximum(gain, SILENT)))
+
+
+def unknown(model: GreyBox) -> list[Chart]:
+    """Return plots of the trained terms of an equation, over each quantity's range in training."""
+    plots, first = [], 0
+    for number_of, term in enumerate(model.terms):
+        for quantity in range(len(term.trained.centre) if term.trained else 0):
+            curve = model.unknown_curve(number_of, quantity)
+            axis, held = Axis.over(curve.z, curve.quantity), ""
+            if curve.others:
+                values = (f"{name} = {number(x)}" for name, x in curve.others.items())
+                held = f", with {', '.join(values)}"
+            for o, value in enumerate(curve.w.T):
+                name, ends = f"w[{first + o}]", (curve.low[:, o], curve.high[:, o])
+                caption = f"{name} over {curve.quantity}{held}"
+                chart = Chart(axis, name, limits([value, *ends]), caption, LOW, small=True)
+                if curve.trainings > 1:
+                    chart.band(*ends, Key("trainings that fit as well", "c0", shaded=True))
+                chart.line(value, Key(name, "c0"), line_width=1.5)
+                plots.append(chart)
+        first += term.outputs
+    return plots
