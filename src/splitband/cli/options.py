@@ -446,6 +446,11 @@ class ModelOptions:
     window: int | None = _training(
         "Samples in a training window, warm-up included.", "N", "150 to 400"
     )
+    own_warmup: Literal["yes", "no"] = _training(
+        "Filter the warm-up of each window of split models alone; no: cut windows from the "
+        "filtered record (paper, Eq. 10, training).",
+        default="yes",
+    )
     epochs: Epochs = None
     recipe: Recipe = _training("Training settings where none are given.", default="default")
     learning_rate: float | None = _training("Highest learning rate of Adam.", "RATE", "1e-2")
