@@ -90,7 +90,10 @@ NUMBERS: tuple[tuple[str, str], ...] = (
         "docs/why.md",
         "other black boxes have {published[lowest]:.2f} to {published[highest]:.2f} V",
     ),
-    ("docs/why.md", "on {over_best[records]} records {over_best[mean]:.2f} times on average"),
+    (
+        "docs/why.md",
+        "On {over_best[records]} drawn records it had {over_best[mean]:.2f} times on average",
+    ),
     (
         "docs/howto/intervals.md",
         "With networks: {benchmarks/recommendation-default[all][inside]:.0%}",
@@ -596,6 +599,10 @@ def _families() -> str:
     return families.table(claims.read(page.OUT / families.FILE))
 
 
+def _filter_case() -> str:
+    return f"{filter_pays()}\n\n{filter_case.verdicts(claims.read(filter_case.FILE))}"
+
+
 TABLES: dict[str, Callable[[], str]] = {
     **{
         function.__name__.replace("_", "-"): function
@@ -608,6 +615,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **{name: partial(page.table_of, name) for name in page.TABLES},
     page.UNDER: page.under_picture,
     "families": _families,
+    "filter-case": _filter_case,
     "closed-loop-pendulum": lambda: closed_loop.of_pendulum(claims.read(closed_loop.FILE)),
     "closed-loop-networks": lambda: closed_loop.of_loops(claims.read(closed_loop.FILE)),
 }
