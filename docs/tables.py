@@ -120,6 +120,12 @@ NUMBERS: tuple[tuple[str, str], ...] = (
     ),
     (
         "docs/results/beyond.md",
+        "A residual GRU with both has "
+        "{results/beyond/v[methods][residual-gru-calibrated-conditioned][total_rmse_mean]:.3f} and "
+        "{results/beyond/vi[methods][residual-gru-calibrated-conditioned][total_rmse_mean]:.3f}.",
+    ),
+    (
+        "docs/results/beyond.md",
         "a GRU on the torsion record from "
         "{results/beyond/double-torsion-record[methods][gru][total_rmse_mean]:.3f} to "
         "{results/beyond/double-torsion-record[methods][gru][mean_of_seeds][total_rmse]:.3f}, of a "

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -159,9 +160,13 @@ def make_table(
     change = {"epochs": epochs, "cutoff": cutoff, "downsampling": downsampling}
     of = {each: lines(each, _split(systems), _split(methods), seeds, **change) for each in tables}
     _run_missing((line for rows in of.values() for line in rows), out, _workers(jobs, cluster), run)
-    marks = "".join(f"-{k}{v:g}" for k, v in (("w", cutoff), ("k", downsampling)) if v is not None)
+    other = [(k, v) for k, v in (("w", cutoff), ("k", downsampling)) if v is not None]
+    marks, said = (
+        "".join(form.format(*each) for each in other) for form in ("-{}{:g}", ", {} = {:g}")
+    )
     for each, rows in of.items():
         made = table(each, rows, out / "runs")
+        made = replace(made, title=made.title + said)
         console.print(_rich(made))
         asked = {"systems": systems, "methods": methods, "seeds": seeds, **change}
         facts = {
