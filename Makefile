@@ -42,8 +42,8 @@ format: .venv/.ready
 	$(BIN)/ruff format .
 
 figures: .venv/.ready
-	$(BIN)/python -m reproduction table all --no-run --out docs/results
-	$(BIN)/python -m reproduction horizons --out docs/results
+	$(BIN)/python -m reproduction table all --no-run --update --out docs/results
+	$(BIN)/python -m reproduction horizons --update --out docs/results
 	$(BIN)/python -m docs.tables
 
 docs: .venv/.ready

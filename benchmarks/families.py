@@ -195,10 +195,13 @@ def best_of(rows: Iterable[Row], kind: str) -> list[float]:
     return [min(errors) for errors in every if errors]
 
 
-def pays(row: Row) -> bool:
-    """Return whether a filtered hybrid is better than the residual one, tried as well."""
-    filtered, other = (best_of([row], kind) for kind in ("filtered", "residual"))
-    return bool(filtered and other) and filtered < other
+def filtered_over_residual(rows: Iterable[Row]) -> str:
+    """Return the geometric mean of a ratio over draws that tried both, and Wilcoxon's p."""
+    both = ([best_of([row], kind) for kind in ("filtered", "residual")] for row in rows)
+    ratios = [np.log(ours[0] / other[0]) for ours, other in both if ours and other]
+    if not ratios:
+        return ""
+    return f"{np.exp(np.mean(ratios)):.2f} (p = {scipy.stats.wilcoxon(ratios).pvalue:.1g})"
 
 
 def middle(values: Sequence[float]) -> str:
@@ -218,9 +221,9 @@ def table(rows: Sequence[Row]) -> str:
         errors = [spread(best_of(of, kind)) for kind in COLUMNS]
         error = (row["errors"][row["recommended"]] for row in of)
         regret = spread(row["regret"] for row in of)
-        advised = [", ".join(chosen), spread(error), regret, f"{sum(map(pays, of))}"]
+        advised = [", ".join(chosen), spread(error), regret, filtered_over_residual(of)]
         lines.append([name + claims.sign(of), *advised, *errors, middle(floors)])
-    heads = ["family", "recommended", "its error", "regret", "filter pays", *COLUMNS]
+    heads = ["family", "recommended", "its error", "regret", "filtered / residual", *COLUMNS]
     return page.table([*heads, "perfect network"], lines) + claims.note(rows)
 
 

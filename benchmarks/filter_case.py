@@ -382,6 +382,33 @@ def comparisons(found: Iterable[Row]) -> pd.DataFrame:
     return all_of
 
 
+def verdicts(found: Sequence[Row]) -> str:
+    """Return the comparisons in Markdown, and which of them are not run yet."""
+    table, every, lines = logs(found), comparisons(found), list[list[str]]()
+    later = dict[str, dict[str, None]]()  # families by the draws that they have
+    told = {tuple(row[list(Pair._fields)]): row for _, row in every[every["rho"].isna()].iterrows()}
+    for pair in (*PRIMARY, *SECONDARY):
+        notes = {"GRU": pair.cell == "gru", "calibrated": pair.calibrated}
+        notes["smoothed simulator"] = pair.other == SMOOTHED
+        of = ", ".join([pair.family, *(note for note, holds in notes.items() if holds)])
+        if (row := told.get(pair)) is None:
+            planned = len(CALIBRATED if pair.calibrated else DRAWS)
+            done = f"{len(ratios(table, pair))} of {planned} draws"
+            later.setdefault(done, {})[of] = None
+            continue
+        ratio = f"{row['ratio']:.2f} ({row['low']:.2f} to {row['high']:.2f})"
+        p = row["p" if pair in PRIMARY else "p (Holm)"]
+        below = f"{row['below 1']:.0f} of {row['n']}"
+        lines.append([of, f"{pair.arm} / {pair.other}", ratio, below, f"{p:.1g}", row["verdict"]])
+    heads = ["family", "methods", "ratio of errors", "draws below 1", "p", "verdict"]
+    commits = sorted({str(row["commit"])[:8] for row in found})
+    said = f"\nMeasured at commit {', '.join(commits)}.\n"
+    if later:
+        said += "\nNot run yet, and undecided until then:\n\n"
+        said += "".join(f"- {done}: {'; '.join(names)}.\n" for done, names in later.items())
+    return page.table(heads, lines) + said
+
+
 def errors(found: Sequence[Row]) -> pd.DataFrame:
     """Return the geometric mean over draws of each arm's error.
 

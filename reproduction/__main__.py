@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 from rich.console import Console
@@ -18,9 +19,10 @@ from typer.exceptions import TyperException
 from reproduction import horizons
 from reproduction.costs import progress
 from reproduction.figures import FIGURES, figure, needed
+from reproduction.figures import NUMBERED as FIGURES_OF_PAPER
 from reproduction.jobs import SYSTEMS
 from reproduction.runs import complete, missing, write_json_lines
-from reproduction.specs import SPECS, TITLES, Line, lines
+from reproduction.specs import NUMBERED, SPECS, TITLES, Line, chosen, lines
 from reproduction.tables import Table, table
 from splitband.cli.display import workers
 from splitband.comparison.methods import TRAINED
@@ -28,6 +30,7 @@ from splitband.report import pictures
 from splitband.runtime.files import output_folder, write_json
 from splitband.runtime.workers import Workers
 
+T = TypeVar("T")
 console = Console(markup=False, emoji=False, highlight=False)
 
 app = typer.Typer(
@@ -36,6 +39,13 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 
+_NAMED = "The paper's number, such as '{} 2' or 2; one of {}; or all."
+TableName = Annotated[
+    str, typer.Argument(metavar="NAME", help=_NAMED.format("Table", ", ".join(SPECS)))
+]
+FigureName = Annotated[
+    str, typer.Argument(metavar="NAME", help=_NAMED.format("Figure", ", ".join(FIGURES)))
+]
 Systems = Annotated[
     str | None,
     typer.Option(
@@ -62,7 +72,20 @@ Run = Annotated[
     bool,
     typer.Option("--run/--no-run", help="Whether to run what is missing; without, it is an error."),
 ]
-
+Cutoff = Annotated[
+    float | None,
+    typer.Option(
+        help="w of split and filtered models, in the unit of the paper's tables: 0.4 for (i).",
+        show_default="the paper's",
+    ),
+]
+Downsampling = Annotated[
+    int | None,
+    typer.Option(min=1, help="k of split models.", show_default="the paper's"),
+]
+Update = Annotated[
+    bool, typer.Option("--update", help="Replace tables and figures that OUT has already.")
+]
 
 Jobs = Annotated[
     int | None,
@@ -98,6 +121,9 @@ def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
         listed.add_row("table", name, f"{state.there} of {state.needed}", takes, TITLES[name])
     for name in FIGURES:
         listed.add_row("figure", name)
+    for number, parts in FIGURES_OF_PAPER.items():
+        said = ", ".join(f"({system}) {kind}" for kind, system in parts)
+        listed.add_row("figure", f"{number}", "", "", said)
     for name, system in SYSTEMS.items():
         listed.add_row("system", name, "", "", system.title)
     console.print(listed)
@@ -108,56 +134,63 @@ def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
 
 @app.command("table")
 def make_table(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help=f"One of {', '.join(SPECS)}, or all.")
-    ],
+    name: TableName,
     systems: Systems = None,
     methods: Methods = None,
     seeds: Seeds = 5,
     epochs: Epochs = None,
+    cutoff: Cutoff = None,
+    downsampling: Downsampling = None,
     jobs: Jobs = None,
     cluster: Cluster = None,
     out: Out = Path("paper"),
     run: Run = True,
+    update: Update = False,
 ) -> None:
     """Make a table of the paper: ours beside the published values.
 
     Every run of a method with a seed is one file in OUT/runs. What is there is not run again, so
     that a long table can be stopped, and the same command goes on; several at once may share a
-    folder.
+    folder. A table that OUT has already is printed, and replaced with --update alone.
     """
-    chosen = _chosen(name, SPECS, "table")
-    if len(chosen) > 1 and (systems or methods):
+    numbered = {number: [table] for number, table in NUMBERED.items()}
+    tables = _chosen(name, {table: [table] for table in SPECS}, numbered, "table")
+    if len(tables) > 1 and (systems or methods):
         raise ValueError(f"--systems and --methods must be used with one table, got {name}")
-    of = {each: lines(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
+    change = {"epochs": epochs, "cutoff": cutoff, "downsampling": downsampling}
+    of = {each: lines(each, _split(systems), _split(methods), seeds, **change) for each in tables}
     _run_missing((line for rows in of.values() for line in rows), out, _workers(jobs, cluster), run)
+    other = [(k, v) for k, v in (("w", cutoff), ("k", downsampling)) if v is not None]
+    marks, said = (
+        "".join(form.format(*each) for each in other) for form in ("-{}{:g}", ", {} = {:g}")
+    )
     for each, rows in of.items():
         made = table(each, rows, out / "runs")
-        output_folder(out / "tables", "--out")
-        asked = {"systems": systems, "methods": methods, "seeds": seeds, "epochs": epochs}
+        made = replace(made, title=made.title + said)
+        console.print(_rich(made))
+        asked = {"systems": systems, "methods": methods, "seeds": seeds, **change}
         facts = {
             "title": made.title,
             "asked": asked,
             "rows": made.facts,
             "markdown": made.markdown(),
         }
-        write_json(out / "tables" / f"{each}.json", facts)
-        console.print(_rich(made))
-    console.print(f"tables: {out / 'tables'}/")
+        if (path := _replaceable(out / "tables" / f"{each}{marks}.json", update)) is not None:
+            write_json(path, facts)
+            console.print(f"{path}")
 
 
 @app.command("horizons")
-def make_horizons(out: Out = Path("paper")) -> None:
+def make_horizons(out: Out = Path("paper"), update: Update = False) -> None:
     """Measure the finished runs in the short and in the long term: OUT/horizons.json."""
-    write_json_lines(out / "horizons.json", horizons.collected(out / "runs"))
-    console.print(f"{out / 'horizons.json'}")
+    if (path := _replaceable(out / "horizons.json", update)) is not None:
+        write_json_lines(path, horizons.collected(out / "runs"))
+        console.print(f"{path}")
 
 
 @app.command("figure")
 def make_figure(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help=f"One of {', '.join(FIGURES)}, or all.")
-    ],
+    name: FigureName,
     systems: Systems = None,
     methods: Methods = None,
     seeds: Seeds = 5,
@@ -166,17 +199,26 @@ def make_figure(
     cluster: Cluster = None,
     out: Out = Path("paper"),
     run: Run = True,
+    update: Update = False,
 ) -> None:
-    """Draw a figure of the paper for every system; runs are shared with the tables."""
-    chosen = _chosen(name, FIGURES, "figure")
-    of = {each: needed(each, _split(systems), _split(methods), seeds, epochs) for each in chosen}
-    every = (line for by_system in of.values() for rows in by_system.values() for line in rows)
-    _run_missing(every, out, _workers(jobs, cluster), run)
-    output_folder(out / "figures", "--out")
-    for each, by_system in of.items():
-        for system, rows in by_system.items():
-            path = out / "figures" / f"{system}-{each}.png"
-            pictures.save(figure(each, system, rows, out / "runs"), path)
+    """Draw a figure of the paper, or one kind of it for every system.
+
+    Runs are shared with the tables. A figure that OUT has already is replaced with --update alone.
+    """
+    named = chosen("systems", _split(systems), SYSTEMS)
+    kinds = {kind: [(kind, system) for system in SYSTEMS] for kind in FIGURES}
+    parts = _chosen(name, kinds, FIGURES_OF_PAPER, "figure")
+    of = {
+        (kind, system): rows
+        for kind, system in parts
+        if system in named
+        if (rows := needed(kind, system, _split(methods), seeds, epochs=epochs)) is not None
+    }
+    _run_missing((line for rows in of.values() for line in rows), out, _workers(jobs, cluster), run)
+    for (kind, system), rows in of.items():
+        path = _replaceable(out / "figures" / f"{system}-{kind}.png", update)
+        if path is not None:
+            pictures.save(figure(kind, system, rows, out / "runs"), path)
             console.print(f"{path}")
 
 
@@ -213,10 +255,34 @@ def _workers(jobs: int | None, cluster: str | None) -> Iterator[Executor | None]
                 yield executor
 
 
-def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:
-    if name not in (*possible, "all"):
-        raise ValueError(f"{what} must be one of {', '.join(possible)} or all, got {name}")
-    return [*possible] if name == "all" else [name]
+def _replaceable(path: Path, update: bool) -> Path | None:
+    """Return a path that may be written, in a folder that is there; None for what is kept."""
+    if path.exists() and not update:
+        console.print(f"{path} was there before and is kept; --update replaces it")
+        return None
+    output_folder(path.parent, "--out")
+    return path
+
+
+def _chosen(
+    name: str,
+    possible: Mapping[str, Iterable[T]],
+    numbered: Mapping[int, Iterable[T]],
+    what: str,
+) -> list[T]:
+    """Return what a name stands for: one of ours, the paper's number, or all of ours."""
+    word = name.lower().removeprefix(what).strip()
+    if name == "all":
+        return [each for of in possible.values() for each in of]
+    if word.isdecimal() and int(word) in numbered:
+        return [*numbered[int(word)]]
+    if name not in possible:
+        numbers = ", ".join(map(str, numbered))
+        raise ValueError(
+            f"{what} must be one of {', '.join(possible)}, a number of the paper's ({numbers}) "
+            f"or all, got {name}"
+        )
+    return [*possible[name]]
 
 
 def _split(text: str | None) -> list[str] | None:
@@ -224,9 +290,10 @@ def _split(text: str | None) -> list[str] | None:
 
 
 def _rich(made: Table) -> RichTable:
-    shown = RichTable(title=made.title, title_justify="left", title_style="bold")
+    shown = RichTable(title=made.title, title_justify="left", title_style="bold", box=None)
     for i, heading in enumerate(made.header):
-        shown.add_column(heading, justify="left" if i < made.words else "right")
+        word = i < made.words
+        shown.add_column(heading, justify="left" if word else "right", no_wrap=word)
     for row in made.rows:
         shown.add_row(*row)
     return shown

@@ -8,9 +8,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from reproduction import pictures as drawn
-from reproduction.jobs import ORACLE, SYSTEMS, Job
+from reproduction.jobs import ORACLE, Job
 from reproduction.runs import as_fit, finished, load
-from reproduction.specs import SPECS, Line, chosen, lines
+from reproduction.specs import SPECS, Line, lines
 from splitband.comparison.backtest import Fit
 from splitband.comparison.methods import QUICK
 from splitband.comparison.plan import Plan
@@ -29,30 +29,43 @@ FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "errors": drawn.errors,
 }
 """By the name that the command line takes."""
+NUMBERED: dict[int, tuple[tuple[str, str], ...]] = {
+    2: (("spectrum", "i"), ("components", "i"), ("errors", "i")),
+    3: (("rollouts", "i"), ("rollouts", "ii"), ("rollouts", "iv")),
+    4: (("rollouts", "v"), ("unfiltered", "v"), ("rollouts", "vi")),
+    5: (("spectrum", "i"), ("spectrum", "v"), ("spectrum", "vi")),
+    6: (("spectrum", "ii"), ("spectrum", "iii"), ("spectrum", "iv")),
+    7: (("rollouts", "iii"), ("rollouts", "vi"), ("rollouts", "v")),
+    8: (("errors", "ii"), ("errors", "iii"), ("errors", "iv")),
+    9: (("errors", "v"),),
+    10: (("errors", "vi"),),
+}
+"""What the paper's figures show, by number, counted on through its supplement; 1 is a sketch. The
+captions of 8 to 10 speak of absolute errors, the text of the RMSE up to each time, as here."""
 
 _SHOWN_BASELINES = ("simulator", "seasonal-naive", "harmonic")
 
 
 def needed(
     name: str,
-    systems: Sequence[str] | None = None,
+    system: str,
     methods: Sequence[str] | None = None,
     seeds: int = 5,
-    epochs: int | None = None,
-) -> dict[str, list[Line]]:
-    """The runs that a figure shows, by system; only those that it is drawn for."""
-    found = {}
-    for system in chosen("systems", systems, SYSTEMS):
-        rows = [
-            line
-            for table, spec in SPECS.items()
-            if system in spec.systems and not spec.varied and spec.shows != "seconds"
-            for line in lines(table, [system], None, seeds, epochs)
-            if _shown(name, line.method) and (methods is None or line.method in methods)
-        ]
-        if rows or name == "spectrum":
-            found[system] = list({line.method: line for line in rows}.values())
-    return found
+    **changes: float | None,
+) -> list[Line] | None:
+    """Return the runs that a figure of a system shows, each once; None if it is not drawn for it.
+
+    `changes`: see `lines`.
+    """
+    rows = [
+        line
+        for table, spec in SPECS.items()
+        if system in spec.systems and "errors" in spec.shows
+        if not spec.varied and not spec.own_warmup
+        for line in lines(table, [system], None, seeds, **changes)
+        if _shown(name, line.method) and (methods is None or line.method in methods)
+    ]
+    return [*{line.method: line for line in rows}.values()] if rows or name == "spectrum" else None
 
 
 def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> Figure:

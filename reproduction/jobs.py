@@ -99,16 +99,19 @@ class Job:
     own_warmup: bool = False
 
     def __post_init__(self) -> None:
-        """Drop what is the paper's own value, so that equal runs are equal jobs."""
+        """Drop what is the paper's own value or has no effect: equal runs are equal jobs."""
         if self.system not in SYSTEMS:
             raise ValueError(f"systems must be out of {', '.join(SYSTEMS)}, got {self.system}")
         if OURS.get(self.method, self.method) not in (*NAMES, ORACLE):
             raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {self.method}")
         column = SYSTEMS[self.system].column
-        own = {"cutoff": column.cutoff, "downsampling": column.downsampling}
-        own["epochs"] = self.full_epochs
-        for name, value in own.items():
-            if vars(self)[name] == value or self.method in (*QUICK, ORACLE):
+        trained = self.method not in (*QUICK, ORACLE)
+        for name, value, matters in (
+            ("cutoff", column.cutoff, self.method.startswith(("split-", "filtered-"))),
+            ("downsampling", column.downsampling, self.splits),
+            ("epochs", self.full_epochs, trained),
+        ):
+            if vars(self)[name] == value or not matters:
                 vars(self)[name] = None
         if not self.splits:
             vars(self)["own_warmup"] = False

@@ -152,7 +152,7 @@ def whole_rmse(facts: dict[str, Any], job: Job) -> float:
         y_sim = simulator.on(record).y_sim
         assert y_sim is not None
         return rmse(record.truth, y_sim)
-    counted = len(facts["from_start"][0]) / len(record)
+    counted = 1 - facts["settings"]["settings"]["warmup"] / len(record)
     return float(facts["total_rmse"] * counted**0.5)
 
 

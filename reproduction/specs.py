@@ -38,6 +38,8 @@ class Spec:
     values: tuple[float, ...] = ()
     own_warmup: bool = False
     """Whether split models filter each warm-up alone in training."""
+    epochs: int | None = None
+    """Of the runs, where they are not the paper's."""
 
 
 TITLES = {
@@ -48,17 +50,26 @@ TITLES = {
     "hybrid-noise": "System (v) with noise of deviation 0.1 on the training data: total RMSE",
     "pendulum": "Rows (ii) to (iv) on the simulated pendulum, each with its own excitation",
     "noise-draws": f"System (i) over {DRAWS} noise draws, one seed each",
+    "noise-draws-300-epochs": f"The same {DRAWS} draws with the split models' epochs",
     "noise-draws-own-warmup": f"The same {DRAWS} draws{_ALONE}",
     "epochs": "System (i), trained for longer",
-    "cutoff": "Ablation of the cut-off w on system (i), k = 2",
+    "cutoff": "Table 10: cut-off w on system (i)",
     "cutoff-own-warmup": f"The same{_ALONE}",
-    "downsampling": "Ablation of the down-sampling k on system (i), w = 0.4",
+    "downsampling": "Table 11: down-sampling k on system (i)",
     "downsampling-own-warmup": f"The same{_ALONE}",
-    "runtime-learning-based": "Run times in seconds, learned from the record alone",
-    "runtime-hybrid-rnn": "Run times in seconds, hybrid models with the RNN",
-    "runtime-hybrid-gru": "Run times in seconds, hybrid models with the GRU",
+    "runtime-learning-based": "Table 7: run times in seconds, learned from the record alone",
+    "runtime-hybrid-rnn": "Table 8: run times in seconds, hybrid models with the RNN",
+    "runtime-hybrid-gru": "Table 9: run times in seconds, hybrid models with the GRU",
 }
 """What a table says, and which of the paper's tables it is, by its name."""
+_OF_PAPER = 1, 2, 3, 7, 8, 9, 10, 11
+_NAMES = (
+    *("learning-based", "hybrid-rnn", "hybrid-gru"),
+    *("runtime-learning-based", "runtime-hybrid-rnn", "runtime-hybrid-gru"),
+    *("cutoff", "downsampling"),
+)
+NUMBERED = dict(zip(_OF_PAPER, _NAMES, strict=True))
+"""Names by the paper's numbers, counted on through its supplement; 4 to 6 are settings."""
 _FIRST, _RECORDS, _HYBRIDS = ("i",), ("i", "ii", "iii", "iv"), ("v", "vi")
 _SIMULATED = ("ii-simulated", "iii-simulated", "iv-simulated")
 _WITH_RNN = ("rnn", "residual-rnn", "simulator", "filtered-rnn")
@@ -76,6 +87,7 @@ SPECS = {
     "hybrid-noise": Spec(("v-noisy",), (*_WITH_GRU, *_NAIVE), {}, "whole errors"),
     "pendulum": Spec(_SIMULATED, (*_GRU, *_NAIVE), {}),
     "noise-draws": replace(_DRAWN, methods=(*_GRU, *_NAIVE[1:], ORACLE)),
+    "noise-draws-300-epochs": replace(_DRAWN, methods=_GRU[:1], epochs=300),
     "noise-draws-own-warmup": replace(_DRAWN, methods=_GRU[1:], own_warmup=True),
     "epochs": Spec(_FIRST, _GRU, {}, "losses", "epochs", (300, 1000, 2000)),
     "cutoff": _CUTOFF,
@@ -108,32 +120,36 @@ def lines(
     systems: Sequence[str] | None = None,
     methods: Sequence[str] | None = None,
     seeds: int = 5,
-    epochs: int | None = None,
+    **changes: float | None,
 ) -> list[Line]:
-    """The rows of a table with the jobs that they need."""
+    """Return the rows of a table with the jobs that they need.
+
+    `changes`: `epochs`, `cutoff` or `downsampling` of all jobs, where they are not the table's.
+    """
     spec = SPECS[name]
+    change: dict[str, Any] = {"epochs": spec.epochs, "own_warmup": spec.own_warmup}
+    change |= {key: value for key, value in changes.items() if value is not None}
     found = []
     for system in chosen("systems", systems, spec.systems):
-        for value in _varied(spec, epochs):
+        for value in _varied(spec, change):
             for method in chosen("methods", methods, spec.methods):
                 if method == ORACLE and system != "i":
                     continue
                 repeated = 1 if method in (*QUICK, ORACLE) else seeds
-                change: dict[str, Any] = {"epochs": epochs, "own_warmup": spec.own_warmup}
                 if spec.shows == "quantiles":
                     jobs = [Job(system, method, 0, int(d), **change) for d in spec.values]
                 else:
-                    change |= {spec.varied: value} if spec.varied else {}
-                    jobs = [Job(system, method, s, **change) for s in range(repeated)]
+                    varied = {spec.varied: value} if spec.varied else {}
+                    jobs = [Job(system, method, s, **change | varied) for s in range(repeated)]
                 found.append(Line(system, method, value, tuple(jobs)))
     return found
 
 
-def _varied(spec: Spec, epochs: int | None) -> Sequence[float | None]:
-    """The values that a table has rows for; of a table over epochs those that are asked for."""
+def _varied(spec: Spec, change: Mapping[str, Any]) -> Sequence[float | None]:
+    """Return the values that a table has rows for; where one is asked for, that alone."""
     if not spec.varied or spec.shows == "quantiles":
         return (None,)
-    return (epochs,) if spec.varied == "epochs" and epochs is not None else spec.values
+    return (change[spec.varied],) if change.get(spec.varied) is not None else spec.values
 
 
 def chosen(what: str, given: Sequence[str] | None, possible: Iterable[str]) -> list[str]:

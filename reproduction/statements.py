@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import json
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import scipy
 
 from reproduction.tables import full_seconds, spread
 
@@ -20,8 +23,13 @@ Row = Mapping[str, Any]
 ERRORS = ("learning-based", "hybrid-gru", "hybrid-rnn", "pendulum")
 """Tables whose rows have one system and one method each."""
 NAIVE = ("persistence", "seasonal-naive", "harmonic")
+DRAWN = "-300-epochs", "-own-warmup"
+"""Further tables over noise draws."""
+PROTOCOLS = "total_rmse", "forecast_rmse"
 APART = 2.0
-"""Standard errors by which two means are called different; standard deviations, from the paper."""
+"""Standard deviations of the paper, or standard errors of a difference, that are worth a row."""
+LEVEL = 0.05
+"""Largest p of a verdict. A convention."""
 
 
 @cache
@@ -54,24 +62,71 @@ def row() -> dict[str, dict[str, dict[str, str]]]:
 
 
 def comparisons() -> str:
-    """Return on which systems a method is better than another, level, or worse."""
-    records, simulated = ("i", "ii", "iii", "iv"), ("ii-simulated", "iii-simulated", "iv-simulated")
-    hybrids = ("v", "vi")
-    rows, lines = _rows(), ["| methods | better | level | worse |", "|---|---|---|---|"]
+    """Return the verdicts on pairs of methods, under both protocols."""
+    learned, hybrids = ("i", "ii", "iii", "iv"), ("v", "vi")
     split, others = ("gru", "split-gru", "split-gru-hp"), ("{}", "residual-{}", "simulator")
-    pairs: list[tuple[str, str, tuple[str, ...]]]
-    pairs = [(a, b, of) for b, a in pairwise(split) for of in (records, simulated)]
-    pairs += [(f"filtered-{n}", o.format(n), hybrids) for n in ("gru", "rnn") for o in others]
+    pairs = [(ours, theirs, learned) for theirs, ours in pairwise(split)]
+    for cell in ("gru", "rnn"):
+        pairs += [(f"filtered-{cell}", other.format(cell), hybrids) for other in others]
+        pairs.append((f"residual-{cell}", "simulator", hybrids))
+    rows, lines = _rows(), [*_heads("system", "n")]
     for ours, theirs, systems in pairs:
-        found: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
         for system in systems:
             a, b = rows[system, ours], rows[system, theirs]
-            values = f"({system.removesuffix('-simulated')}) {_mean(a):.3f} / {_mean(b):.3f}"
-            found[_verdict(a["total_rmse"], b["total_rmse"])].append(values)
-        first = f"{_short(ours)}, {_short(theirs)}"
-        first = "the same, simulated pendulum" if systems is simulated else first
-        lines.append(f"| {first} | {' | '.join(map(', '.join, found.values()))} |")
-    return "\n".join(lines)
+            cells = [cell for name in PROTOCOLS for cell in _compared(a[name], b[name])]
+            n = " and ".join(dict.fromkeys(str(len(row["total_rmse"])) for row in (a, b)))
+            lines.append([f"{_short(ours)}, {_short(theirs)}", f"({system})", n, *cells])
+    for system in hybrids:
+        path = RESULTS / "beyond" / f"{system}.json"
+        of = json.loads(path.read_text(encoding="utf-8"))["methods"]
+        a, b = (of[f"{kind}-gru-calibrated-conditioned"] for kind in ("filtered", "residual"))
+        cells = [cell for name in PROTOCOLS for cell in _compared(a[name], b[name])]
+        said = "filtered GRU, residual GRU, both calibrated and conditioned"
+        lines.append([said, f"({system})", str(len(a["total_rmse"])), *cells])
+    return _markdown(lines)
+
+
+def draws() -> str:
+    """Return the verdicts on split models and the GRU over noise draws of (i), paired by draw."""
+    files = {name: _files()[f"noise-draws{name}"]["rows"] for name in ("", *DRAWN)}
+    rows = {(name, row["method"]): row for name, of in files.items() for row in of}
+    lines = [*_heads("training of split models", "epochs of the GRU", "draws")]
+    for form, split in (("Eq. 10, training", ""), ("own warm-ups", "-own-warmup")):
+        for gru in ("-300-epochs", ""):
+            for method in ("split-gru", "split-gru-hp"):
+                a, b = rows[split, method], rows[gru, "gru"]
+                cells = [c for name in PROTOCOLS for c in _compared(a[name], b[name], paired=True)]
+                n = str(len(a["total_rmse"]))
+                lines.append([f"{_short(method)}, GRU", form, str(b["epochs"]), n, *cells])
+    return _markdown(lines)
+
+
+def _heads(*of_pair: str) -> list[list[str]]:
+    heads = ["methods", *of_pair]
+    return [
+        [*heads, *("from the start", "p", "verdict", "forecast", "p", "verdict")],
+        ["---"] * len(heads) + ["---:", "---:", "---"] * 2,
+    ]
+
+
+def _markdown(lines: Iterable[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _compared(ours: Sequence[float], theirs: Sequence[float], paired: bool = False) -> list[str]:
+    """Return both medians, p and the verdict on two methods: the one rule of the report.
+
+    Seeds are compared by Mann and Whitney's exact test, draws by Wilcoxon's, of the logarithms of
+    ratios. A method that needs no seed has the same error with each of them.
+    """
+    theirs = [*theirs] * (1 if len(theirs) > 1 else len(ours))
+    if paired:
+        p = scipy.stats.wilcoxon(np.log(ours) - np.log(theirs)).pvalue
+    else:
+        p = scipy.stats.mannwhitneyu(ours, theirs, method="exact").pvalue
+    a, b = statistics.median(ours), statistics.median(theirs)
+    verdict = "undecided" if p >= LEVEL else "better" if a < b else "worse"
+    return [f"{a:.3f} / {b:.3f}", f"{p:.2g}", verdict]
 
 
 def _short(method: str) -> str:
@@ -81,21 +136,35 @@ def _short(method: str) -> str:
 
 def against_naive() -> str:
     """Return the best network at the paper's settings beside the best naive baseline."""
-    rows = _rows()
-    lines = ["| system | best network | best naive baseline |", "|---|---|---|"]
-    for system in dict.fromkeys(system for system, _ in rows):
+    rows, found = _rows(), list[list[str]]()
+    for system in ("i", "ii", "iii", "iv", "v", "vi"):
         of = [row for (each, _), row in rows.items() if each == system]
         baseline = min((r for r in of if r["method"] in NAIVE), key=_mean)
         network = min((r for r in of if r["epochs"] and r["total_rmse"]), key=_mean)
-        better = network if _mean(network) < _mean(baseline) else baseline
-        cells = [
-            f"**{text}**" if each is better else text
-            for each in (network, baseline)
-            for text in [f"{each['method']} {_mean(each):.3f}"]
-        ]
-        name, _, kind = system.partition("-")
-        lines.append(f"| ({name}){kind and f', {kind}'} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        compared = _compared(network["total_rmse"], baseline["total_rmse"])
+        found.append([f"({system})", network["method"], baseline["method"], *compared])
+    heads = ["system", "best network", "best naive baseline", "median errors", "p", "network is"]
+    return _markdown([heads, ["---"] * 3 + ["---:", "---:", "---"], *found])
+
+
+def readings() -> str:
+    """Return the readings of (i) that differ from the nearest, by the mean of the last epochs."""
+    lines = [["method", "paper", "reading", "last epoch", "mean of the last tenth", ""]]
+    lines.append(["---", "---:", "---", "---:", "---:", "---"])
+    every = json.loads((RESULTS / "readings.json").read_text(encoding="utf-8"))["readings"]
+    for method, of in every.items():
+        paper, nearest = _rows()["i", method]["paper"]["mean"], of["nearest"]["late"]
+        for name, row in of.items():
+            late = row["late"]
+            error = sum(each["deviation"] ** 2 / each["runs"] for each in (late, nearest)) ** 0.5
+            if name != "nearest" and abs(late["mean"] - nearest["mean"]) <= APART * error:
+                continue
+            nearer = abs(late["mean"] - paper) < abs(nearest["mean"] - paper)
+            said = "" if name == "nearest" else "nearer" if nearer else "farther"
+            told = (row[each] for each in ("total_rmse", "late"))
+            cells = [f"{each['mean']:.3f} ({each['deviation']:.2g})" for each in told]
+            lines.append([method, f"{paper:.3f}", name, *cells, said])
+    return _markdown(lines)
 
 
 def horizons() -> str:
@@ -116,18 +185,18 @@ def horizons() -> str:
     return "\n".join(lines)
 
 
-def noise_draws() -> dict[str, dict[str, str]]:
-    """Return what the noise draws of (i) say, by the form of training."""
-    found = {}
-    every = {row["method"]: row["total_rmse"] for row in _files()["noise-draws"]["rows"]}
-    for form, name in (("eq_10", "noise-draws"), ("own_warmup", "noise-draws-own-warmup")):
-        rows = every | {row["method"]: row["total_rmse"] for row in _files()[name]["rows"]}
-        better = sum(a < b for a, b in zip(rows["split-gru"], rows["gru"], strict=True))
-        found[form] = {"better": f"{better} of {len(rows['gru'])}"}
+def noise_draws() -> dict[str, str]:
+    """Return on how many draws of (i) the oracle is below the paper's error."""
+    errors = next(r for r in _files()["noise-draws"]["rows"] if r["method"] == "oracle")
     paper = _rows()["i", "split-gru"]["paper"]["mean"]
-    below = sum(value < paper for value in every["oracle"])
-    found["oracle"] = {"below": f"{below} of {len(every['oracle'])}"}
-    return found
+    below = sum(value < paper for value in errors["total_rmse"])
+    return {"below": f"{below} of {len(errors['total_rmse'])}"}
+
+
+def seconds_by_factor() -> dict[str, float]:
+    """Return the run time of split GRU on (i) by the down-sampling k."""
+    rows = (r for r in _files()["downsampling"]["rows"] if r["method"] == "split-gru")
+    return {f"k{row['value']}": full_seconds(row) for row in rows}
 
 
 def time_shares() -> dict[str, dict[str, float]]:
@@ -144,7 +213,7 @@ def time_shares() -> dict[str, dict[str, float]]:
 def differing_table() -> str:
     """Return the rows of the paper's tables that differ by more than `APART` deviations."""
     lines = ["| | system | method | ours | paper | deviations |", "|---|---|---|---:|---:|---:|"]
-    for verdict, sign in (("worse", 1), ("better", -1)):
+    for verdict, sign in (("higher", 1), ("lower", -1)):
         for (system, method), facts in _rows().items():
             if not (facts["paper"] and facts["paper"]["std"] and facts["total_rmse"]):
                 continue
@@ -172,19 +241,10 @@ def _mean(row: Row) -> float:
     return statistics.mean(row["total_rmse"]) if row["total_rmse"] else float("inf")
 
 
-def _verdict(ours: Sequence[float], theirs: Sequence[float]) -> str:
-    """By the difference of two means and its standard error (Welch's)."""
-    errors = [statistics.variance(v) / len(v) if len(v) > 1 else 0.0 for v in (ours, theirs)]
-    difference = statistics.mean(ours) - statistics.mean(theirs)
-    if abs(difference) <= APART * sum(errors) ** 0.5:
-        return "level"
-    return "better" if difference < 0 else "worse"
-
-
 def _range(values: Sequence[float]) -> str:
     lowest, highest = f"{min(values):.2f}", f"{max(values):.2f}"
     return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
-_OF_RUNS = tables, row, comparisons, against_naive, horizons, noise_draws
-FIGURES = (*_OF_RUNS, time_shares, differing_table, unversioned)
+_OF_RUNS = tables, row, comparisons, draws, against_naive, horizons, noise_draws, readings
+FIGURES = (*_OF_RUNS, time_shares, seconds_by_factor, differing_table, unversioned)

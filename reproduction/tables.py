@@ -101,6 +101,8 @@ def _facts(spec: Spec, line: Line, folder: Path) -> dict[str, Any]:
     known = spec.published.get(line.system if line.value is None else line.value, {}).get(
         line.method
     )
+    if not spec.varied and (first.cutoff or first.downsampling):
+        known = None  # the paper has no such run
     losses = [final_losses(run) for _, run in good]
     fixed = line.method in (*QUICK, ORACLE)
     return {

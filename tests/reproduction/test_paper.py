@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -68,10 +69,46 @@ def test_a_file_holds_what_was_predicted(folder: Path) -> None:
 def test_finished_runs_are_not_repeated(folder: Path) -> None:
     before = {p: p.stat().st_mtime_ns for p in (folder / "runs").rglob("*.json")}
     jobs = [
-        job for line in lines("learning-based", ["i"], ["split-gru"], 2, 2) for job in line.jobs
+        job
+        for line in lines("learning-based", ["i"], ["split-gru"], 2, epochs=2)
+        for job in line.jobs
     ]
     assert complete(jobs, folder / "runs") == 0
     assert {p: p.stat().st_mtime_ns for p in (folder / "runs").rglob("*.json")} == before
+
+
+@pytest.mark.usefixtures("drawn")
+def test_what_is_stored_is_replaced_only_where_that_is_asked_for(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    stored = tmp_path / "tables" / "learning-based.json"
+    before = stored.read_bytes()
+    fewer = ["--methods", "harmonic", "--no-run", "--out", str(tmp_path)]
+    assert main(["table", "Table 1", *ROW, *fewer]) == 0
+    assert stored.read_bytes() == before
+    assert "--update replaces it" in " ".join(capsys.readouterr().out.split())
+    assert main(["table", "1", *ROW, *fewer, "--update"]) == 0
+    assert [row["method"] for row in json.loads(stored.read_text())["rows"]] == ["harmonic"]
+    picture = tmp_path / "figures" / "i-errors.png"
+    picture.parent.mkdir()
+    picture.write_text("mine")
+    assert main(["figure", "Figure 2", *ROW, *fewer]) == 0
+    assert picture.read_text() == "mine"
+    assert main(["figure", "errors", *ROW, *fewer, "--update"]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_another_cut_off_has_runs_and_a_table_of_its_own(tmp_path: Path) -> None:
+    chosen = ["--methods", "split-gru,harmonic", "--seeds", "1", "--epochs", "1", "--jobs", "1"]
+    change = ["--cutoff", "0.2", "--downsampling", "4", "--out", str(tmp_path)]
+    assert main(["table", "Table 1", "--systems", "i", *chosen, *change]) == 0
+    facts = json.loads((tmp_path / "tables/learning-based-w0.2-k4.json").read_text())
+    assert facts["title"].endswith(", w = 0.2, k = 4")
+    assert [row["paper"] for row in facts["rows"]] == [None, None]
+    run = json.loads((tmp_path / "runs/i/split-gru/w0.2-k4-epochs1-seed0.json").read_text())
+    assert (run["settings"]["cutoff"], run["settings"]["downsampling"]) == (0.2, 4)
+    assert (tmp_path / "runs/i/harmonic/seed0.json").exists()
 
 
 @pytest.mark.usefixtures("drawn")
@@ -218,7 +255,7 @@ def test_a_diverged_run_is_said_to_be(tmp_path: Path) -> None:
     facts = json.loads((tmp_path / job.path).read_text(encoding="utf-8"))
     kept = {name: facts[name] for name in ("format", "job", "settings", "record")}
     (tmp_path / job.path).write_text(json.dumps(kept | {"diverged": "the loss is inf"}))
-    made = table("learning-based", lines("learning-based", ["i"], ["gru"], 1, 1), tmp_path)
+    made = table("learning-based", lines("learning-based", ["i"], ["gru"], 1, epochs=1), tmp_path)
     assert "diverged" in made.markdown()
 
 
@@ -301,7 +338,8 @@ def test_the_committed_tables_are_those_of_the_committed_runs(path: Path) -> Non
     committed = json.loads(path.read_text(encoding="utf-8"))
     asked = committed["asked"]
     systems, methods = (asked[n] and asked[n].split(",") for n in ("systems", "methods"))
-    rows = lines(path.stem, systems, methods, asked["seeds"], asked["epochs"])
+    change = {name: asked[name] for name in ("epochs", "cutoff", "downsampling")}
+    rows = lines(path.stem, systems, methods, asked["seeds"], **change)
     made = table(path.stem, rows, RESULTS / "runs").markdown()
     assert made == committed["markdown"]
 

@@ -500,6 +500,11 @@ class ModelOptions:
     window: int | None = _training(
         "Samples in a training window, including the warm-up.", "N", "150 to 400"
     )
+    own_warmup: Literal["yes", "no"] = _training(
+        "Filter the warm-up of each window of split models alone; no: cut windows from the "
+        "filtered record (paper, Eq. 10, training).",
+        default="yes",
+    )
     epochs: Epochs = None
     recipe: Recipe = _training(
         "Training settings that no option gives.", "default|constant-rate", default="default"

@@ -1,7 +1,8 @@
-"""What split models are trained on: Eq. 10 beside filters and slices by SciPy and NumPy alone."""
+"""What the paper's models are trained on: Eqs. 10 and 12, by SciPy, NumPy and torch alone."""
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,11 @@ import scipy
 import torch
 
 import splitband as sb
-from splitband.models import SplitModel
+from splitband.models import FilteredModel, SplitModel
 from splitband.models.base import Signals
 from splitband.records import Record
 from splitband.runtime.arrays import Array
-from splitband.training import fit
+from splitband.training import TrainingSettings, fit
 from splitband.training.windows import joined, windows, windows_in
 from tests.signals import DT, NAN
 
@@ -101,6 +102,25 @@ def free_run(cell: Any, warm: torch.Tensor, steps: int) -> torch.Tensor:
             found.append(cell.observation(h)[0])
             h = gru(found[-1][None], h)
     return torch.stack(found)
+
+
+def test_the_loss_of_eq_12_is_the_paper_s() -> None:
+    """The first epoch's loss of one window, whose weights are still the initial ones."""
+    rng, steps = np.random.default_rng(0), WINDOW - R
+    y, y_sim = rng.standard_normal((2, WINDOW)).cumsum(axis=1)
+    torch.manual_seed(0)
+    pair = sb.Bands(CUTOFF, 1).one_way_pair(1 / DT)
+    model = FilteredModel(sb.GRU(3), pair).double()
+    weights = deepcopy(model.cell)
+    settings = TrainingSettings.paper(WINDOW, R, 1, normalize=False)
+    history = fit(model, Record(y, DT, y_sim=y_sim), settings)
+    b, a = scipy.signal.butter(1, CUTOFF, fs=1 / DT)
+    low = scipy.signal.lfilter(b, a, y_sim, zi=scipy.signal.lfilter_zi(b, a) * y_sim[0])[0]
+    network = free_run(weights, torch.from_numpy(y[:R, None]), steps)[:, 0].numpy()
+    b, a = scipy.signal.butter(1, CUTOFF, "high", fs=1 / DT)
+    begun = scipy.signal.lfiltic(b, a, [y[R - 1] - low[R - 1]], [y[R - 1]])
+    high = scipy.signal.lfilter(b, a, network, zi=begun)[0]
+    assert history.losses["network"] == pytest.approx([sb.rmse(y[R:], high + low[R:])], rel=1e-9)
 
 
 def test_a_warm_up_without_a_sample_of_the_low_band_is_refused() -> None:
