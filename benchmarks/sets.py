@@ -68,8 +68,8 @@ SETS = {
     "tanks5": replace(
         _TANKS,
         title="Cascaded tanks, 5 initial samples",
-        source="the same records; release 1.0.1 of the loader `nonlinear_benchmarks` gives 5 initial "
-        "samples, as in the published scores",
+        source="the same records; release 1.0.1 of the loader `nonlinear_benchmarks` gives 5 "
+        "initial samples, as in the published scores",
         published=_OF_TANKS | {"jax-sysid, mean of 11 seeds, measured by us": ("0.286",)},
         initial=5,
     ),

@@ -24,6 +24,7 @@ from splitband.forecasters.held_out import fit_ahead, forecasts, many_origins
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.network import Network
 from splitband.metrics import fit_percent, tenths
+from splitband.records import Record
 from splitband.report import tables, words
 from splitband.report.environment import environment
 from splitband.report.numbers import complex_in_words, number
@@ -253,9 +254,8 @@ def of_check(
     record, name = result.record, result.method
     label = checked.in_words() or name
     stable = checked.require_fitted().report.stable
-    y = np.full(record.y.shape, np.nan)
-    y[len(y) - len(result.simulation) :] = result.simulation.y
-    run = Run(record, "simulation" if stable else "predictions one sample ahead", {name: y})
+    says = "simulation" if stable else "predictions one sample ahead"
+    run = Run(record, says, {name: _placed(result.simulation.y, record)})
     drawn = looks({name: label})
     facts = [
         (column, "\n".join(f"fit {tenths(of[i])} %, {far}" for far, of in result.fits.items()))
@@ -278,13 +278,24 @@ def of_check(
 def of_checks(checks: Mapping[str, ModelCheck], used: Usage) -> Page:
     """Return the page of checks of several models, by their folders, on one record."""
     record = next(iter(checks.values())).record
-    simulated = {name: check.simulation for name, check in checks.items()}
-    styles = method_styles({n: titled(n, c.title) for n, c in checks.items()}, next(iter(checks)))
-    drawn = plots.OverTime(Predicted("start", "simulation", record, simulated), styles)
-    curves, listed = [*drawn.outputs(), *drawn.inputs()], [tables.of_checks(checks)]
+    drawn = looks({name: titled(name, check.title) for name, check in checks.items()})
+    simulated = {name: _placed(check.simulation.y, record) for name, check in checks.items()}
+    run = Run(record, "simulation", simulated)
     title = f"{len(checks)} models on {record.name or 'a record'}"
-    answer = Section("answer", title, plots=curves, tables=listed)
-    return Page(title, words.lead(record), [answer, _settings([], used)], [*styles.values()])
+    plots, listed = over_time.over_time(run, drawn), [tables.of_checks(checks)]
+    sections = [
+        Section("answer", title, plots=plots, tables=listed),
+        *_by_band(run, drawn, None),
+        *_made(used),
+    ]
+    return Page(title, words.lead(record), sections)
+
+
+def _placed(predicted: Array, record: Record) -> Array:
+    """Return a prediction of the last samples of a record on all of them, NaN before."""
+    y = np.full(record.y.shape, np.nan)
+    y[len(y) - len(predicted) :] = predicted
+    return y
 
 
 def of_inspection(found: Inspection, used: Usage) -> Page:
