@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from dataclasses import asdict, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from reproduction.jobs import SYSTEMS, Job
 from reproduction.runs import as_fit, complete, load, whole_rmse
 from reproduction.settings import HYBRID
 from reproduction.specs import SPECS, lines
+from reproduction.statements import comparisons
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from reproduction.tables import table
 from splitband import Record
@@ -342,6 +344,31 @@ def test_the_committed_tables_are_those_of_the_committed_runs(path: Path) -> Non
     rows = lines(path.stem, systems, methods, asked["seeds"], **change)
     made = table(path.stem, rows, RESULTS / "runs").markdown()
     assert made == committed["markdown"]
+
+
+@pytest.mark.parametrize(
+    ("name", "system", "methods", "said"),
+    [
+        ("hybrid-rnn", "v", ("filtered-rnn", "residual-rnn"), "filtered RNN, residual RNN"),
+        ("learning-based", "iv", ("split-gru", "gru"), "split GRU, GRU"),
+    ],
+)
+def test_a_verdict_is_that_of_all_choices_of_seeds(
+    name: str, system: str, methods: tuple[str, str], said: str
+) -> None:
+    """Mann and Whitney's p by counting choices whose rank sums are as far apart."""
+    facts = json.loads((RESULTS / "tables" / f"{name}.json").read_text(encoding="utf-8"))
+    errors = {row["method"]: row for row in facts["rows"] if row["system"] == system}
+    (line,) = (x for x in comparisons().splitlines() if x.startswith(f"| {said} | ({system}) "))
+    cells = line.strip("| ").split(" | ")
+    for protocol, (p, verdict) in (("total", cells[4:6]), ("forecast", cells[7:9])):
+        ours, theirs = (errors[method][f"{protocol}_rmse"] for method in methods)
+        ranks = np.argsort(np.argsort([*ours, *theirs])) + 1
+        sums = np.array([sum(of) for of in combinations(ranks, 5)])
+        expected = np.mean(abs(sums - 27.5) >= abs(sum(ranks[:5]) - 27.5))
+        assert p == f"{expected:.2g}"
+        lower = np.median(ours) < np.median(theirs)
+        assert verdict == ("undecided" if expected >= 0.05 else "better" if lower else "worse")
 
 
 def test_every_table_is_committed() -> None:
