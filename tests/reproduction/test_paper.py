@@ -265,7 +265,7 @@ def test_a_diverged_run_is_said_to_be(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["table", "4"], "table must be one of"),
-        (["figure", "4"], "figure must be one of"),
+        (["figure", "44"], "figure must be one of"),
         (["table", "cutoff", "--systems", "v"], "systems must be out of i"),
         (["table", "cutoff", "--methods", "rnn"], "methods must be out of"),
         (["table", "all", "--systems", "i"], "must be used with one table"),
