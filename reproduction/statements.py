@@ -65,6 +65,7 @@ def comparisons() -> str:
     """Return the verdicts on pairs of methods, under both protocols."""
     learned, hybrids = ("i", "ii", "iii", "iv"), ("v", "vi")
     split, others = ("gru", "split-gru", "split-gru-hp"), ("{}", "residual-{}", "simulator")
+    pairs: list[tuple[str, str, tuple[str, ...]]]
     pairs = [(ours, theirs, learned) for theirs, ours in pairwise(split)]
     for cell in ("gru", "rnn"):
         pairs += [(f"filtered-{cell}", other.format(cell), hybrids) for other in others]
