@@ -270,9 +270,6 @@ def test_nothing_is_said_of_the_drawn_records() -> None:
     assert [said for job in jobs for said in of(job.name, job.record())] == []
 
 
-# ---------------------------------------------------------------- the ways out
-
-
 def fit(made: sb.Record, clean: sb.Record) -> float:
     """Fit % of a linear model on another record, which has no faults."""
     model = sb.Linear().fit(made)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -33,13 +33,10 @@ from splitband.models.stepping import (
     steady,
 )
 from splitband.networks import Cell, rollout
-from splitband.networks.layers import torch
+from splitband.networks.layers import Tensor, torch
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 class Hybrid(Model):

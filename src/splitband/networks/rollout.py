@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 from splitband.networks.cell import Cell
-from splitband.networks.layers import torch
+from splitband.networks.layers import Tensor, torch
 from splitband.runtime.errors import InputError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 Backend = Literal["auto", "plain", "fused"]
 
