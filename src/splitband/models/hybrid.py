@@ -123,7 +123,6 @@ class FilteredModel(Hybrid):
         feedthrough: bool = False,
     ) -> None:
         super().__init__(cell, conditioned, feedthrough)
-        _check_one_way(pair)
         self.pair = pair
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -152,8 +151,6 @@ class FilteredModel(Hybrid):
     def _high(self, filtered: Signals, steps: int) -> Tensor:
         """Return H(network); the filter starts from measured samples minus L(simulator)."""
         order, warmup = self.pair.order, filtered.y.shape[1]
-        if warmup < order:
-            raise InputError(f"the warm-up must have at least {order} samples, got {warmup}")
         measured = filtered.y[:, warmup - order :]
         first = measured - _required(filtered)[:, warmup - order : warmup]
         network = rollout(self.cell, filtered.y, steps, filtered.u)
@@ -217,7 +214,7 @@ class FilteredHighModel(Hybrid):
     Raises
     ------
     ValueError
-        For zero-phase filters, and for a down-sampling against the Nyquist condition.
+        For a down-sampling against the Nyquist condition.
     """
 
     steps = SteppedFilteredHigh
@@ -231,7 +228,6 @@ class FilteredHighModel(Hybrid):
         feedthrough: bool = False,
     ) -> None:
         super().__init__(cell, conditioned, feedthrough and downsampling == 1)
-        _check_one_way(pair)
         check_downsampling(downsampling, pair.cutoff or 0.0, pair.sampling_rate)
         self.pair, self.downsampling = pair, downsampling
 
@@ -313,11 +309,6 @@ class ResidualModel(Hybrid):
     def _simulate(self, known: Signals, steps: int) -> Tensor:
         warmup = known.y.shape[1]
         return rollout(self.cell, known.y - _required(known)[:, :warmup], steps, known.u)
-
-
-def _check_one_way(pair: ComplementaryPair) -> None:
-    if pair.zero_phase:
-        raise InputError("the hybrid model's pair must filter one way (zero_phase=False)")
 
 
 def _after_warmup(known: Signals, steps: int) -> Tensor:
