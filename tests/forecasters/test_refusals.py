@@ -12,13 +12,13 @@ import pytest
 import splitband as sb
 from splitband import GRU, Forecaster, Record
 from splitband.comparison.methods import named
+from splitband.runtime.arrays import Array
 from tests.forecasters.support import (
     DT,
     LENGTH,
     SETUP,
     TRAIN,
     WARMUP,
-    Array,
     fitted,
     record,
 )
