@@ -9,7 +9,8 @@ from hypothesis.extra import numpy as hnp
 from torch import Tensor
 
 from splitband.filters.resampling import Alignment, check_downsampling, downsample, upsample
-from tests.filters.support import Array, noise
+from splitband.runtime.arrays import Array
+from tests.filters.support import noise
 
 ALIGNMENTS: list[Alignment] = ["time", "paper"]
 

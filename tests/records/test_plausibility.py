@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import pytest
 import scipy
@@ -16,8 +17,8 @@ import splitband as sb
 from benchmarks import recommendation, sets
 from splitband.records.named import RECORDS
 from splitband.records.public import PUBLIC, fetch
-from splitband.runtime.arrays import Array
 
+Array = npt.NDArray[Any]
 Generator = np.random.Generator
 N, STEP = 2000, 0.1
 INDEX = np.arange(float(N))
