@@ -1,6 +1,9 @@
 """Periodic regression on signals whose period, harmonics and vibrations are known."""
 
+from typing import Any
+
 import numpy as np
+import numpy.typing as npt
 import pytest
 import scipy
 from hypothesis import given, settings
@@ -8,7 +11,8 @@ from hypothesis import strategies as st
 
 from splitband.baselines.seasonal import LastPeriod, periodic
 from splitband.baselines.sinusoids import SinusoidRegression
-from splitband.runtime.arrays import Array
+
+Array = npt.NDArray[Any]
 
 TRAINING, AHEAD = 600, 1400
 """A last measured sample that it may not look at."""

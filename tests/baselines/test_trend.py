@@ -1,17 +1,18 @@
 """Trends, and frequencies of less than a cycle, of which the truth or SciPy's fit is known."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import scipy
 
 from splitband.baselines.sinusoids import MAX_FIT_SAMPLES, Sinusoids, harmonic, trend
 from splitband.forecasters.baselines import ByTime
-from splitband.runtime.arrays import Array
 from tests.baselines.test_naive import FITS, one_period, repeated
 
-"""A last measured sample that none of these may look at."""
+Array = npt.NDArray[Any]
 TRAINING, SAMPLES = 400, 1000
 N = np.arange(SAMPLES)
 # The first of FITS repeats noise, so that its error is larger by a factor of 1.4.

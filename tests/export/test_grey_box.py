@@ -303,20 +303,6 @@ def test_an_equation_that_needs_an_adaptive_solver_says_so(
         model.export(tmp_path / "rig.c")
 
 
-def test_an_fmu_and_onnx_integrate_it_too(tmp_path: Path) -> None:
-    ode = EQUATIONS["held inputs"]()
-    record: Any = record_of(ode, 1)
-    model = sb.GreyBox(ode, starts=1).fit(record[:150])
-    wanted = model.predict(50, u=record.u[150:]).y
-    model.export(tmp_path / "rig.fmu")
-    instance = Instance(tmp_path / "rig.fmu", tmp_path / "rig", record)
-    found = np.stack([instance.step(u=u) for u in record.u[150:]])
-    np.testing.assert_allclose(found, wanted, atol=1e-9)
-    _, rollout = model.export(tmp_path / "rig.onnx")
-    signals = {"y": np.full((50, 1), np.nan), "u": record.u[150:]}
-    np.testing.assert_allclose(session(rollout).run(None, signals)[1], wanted, atol=1e-9)
-
-
 def test_unknown_terms_go_wherever_the_equation_goes(tmp_path: Path) -> None:
     """Over a gap, on a second record, saved, below a hybrid, and in every program."""
     ode = EQUATIONS["unknown terms"]()

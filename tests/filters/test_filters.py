@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from splitband.filters import ComplementaryPair, Start, butterworth, filtfilt, lfilter
+from splitband.runtime.arrays import Array
 from tests.filters.support import (
     BOTH_WAYS,
     CUTOFF,
@@ -18,7 +19,6 @@ from tests.filters.support import (
     ORDERS,
     RATE,
     TIGHT,
-    Array,
     noise,
     scipy_both_ways,
     scipy_one_way,

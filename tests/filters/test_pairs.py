@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 from torch import Tensor
 
 from splitband.filters import ComplementaryPair, Start
+from splitband.runtime.arrays import Array
 from tests.filters.support import (
     BOTH_WAYS,
     CUTOFF,
@@ -21,7 +22,6 @@ from tests.filters.support import (
     RATE,
     SMALLEST,
     TIGHT,
-    Array,
     noise,
     scipy_both_ways,
     scipy_one_way,

@@ -59,8 +59,6 @@ def test_the_interval_knows_nothing_of_what_is_held_out(monkeypatch: pytest.Monk
     assert seen == [part._trained_in]
 
 
-# ---------------------------------------------------------------- from a trained one
-
 SHORT = TrainingSettings.paper(40, 10, 1, 16)
 ONE_MORE = replace(SHORT, epochs=0, lbfgs_iterations=1)
 
@@ -138,18 +136,11 @@ def test_another_kind_or_size_is_refused(
         model.fit(rig(0), start=start)
 
 
-@pytest.mark.parametrize(
-    ("other", "said"),
-    [
-        ({"columns": ("level",)}, "columns of start must be those of the training record, level"),
-        ({"sampling_time": 5.0}, "start must be sampled like the training record, every 5 s"),
-    ],
-)
-def test_a_start_from_another_system_is_refused(other: dict[str, Any], said: str) -> None:
+def test_a_start_from_another_system_is_refused() -> None:
     network = sb.Single(sb.GRU(4), SHORT)
     start = network.clone().fit(replace(rig(0), columns=("speed",)))
-    with pytest.raises(ValueError, match=said):
-        network.fit(replace(rig(0), **({"columns": ("speed",)} | other)), start=start)
+    with pytest.raises(ValueError, match=r"columns of start must be .* record, level"):
+        network.fit(replace(rig(0), columns=("level",)), start=start)
 
 
 def test_another_function_is_not_taken_for_the_simulator_of_the_start() -> None:

@@ -138,7 +138,6 @@ def test_options_changed_after_a_fit_ask_for_another_one() -> None:
     [
         sb.Residual(sb.Single(sb.GRU(2), SHORT), sb.GRU(2), settings=SHORT),
         sb.Residual(sb.Calibrated(sb.Function(rig)), sb.GRU(2), settings=SHORT),
-        sb.Filtered(sb.Periodic(), sb.GRU(2), settings=SHORT),
         sb.Split(sb.GRU(2), sb.GRU(2), settings=SHORT),
         sb.Ensemble(sb.Single(sb.GRU(2), SHORT), 2),
         sb.Linear(),
@@ -168,9 +167,6 @@ def test_a_clone_shares_no_forecaster_and_is_not_fitted() -> None:
 def test_an_option_that_is_not_kept_is_named() -> None:
     with pytest.raises(TypeError, match="Forgetful must keep its constructor's argument factor"):
         Forgetful(1.0).clone()
-
-
-# ---------------------------------------------------------------- in words
 
 
 class NonLinear(sb.Forecaster):

@@ -12,13 +12,13 @@ import pytest
 import splitband as sb
 from splitband import GRU, Forecaster, Record
 from splitband.comparison.methods import named
+from splitband.runtime.arrays import Array
 from tests.forecasters.support import (
     DT,
     LENGTH,
     SETUP,
     TRAIN,
     WARMUP,
-    Array,
     fitted,
     record,
 )
@@ -93,13 +93,7 @@ def mean() -> Forecaster:
         (lambda: sb.Single(untyped(GRU)), r"an object, such as GRU\(...\), got the class GRU"),
         (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
         (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
-        *(
-            (
-                lambda wrong=wrong: sb.Ensemble(sb.Mean(), seeds=wrong),
-                "seeds must be different numbers from 0 on",
-            )
-            for wrong in ((), (1, 1), (-1, 0))
-        ),
+        (lambda: sb.Ensemble(sb.Mean(), seeds=(1, 1)), "seeds must be different numbers from 0 on"),
         (
             lambda: sb.Ensemble.of([mean(), sb.Mean().fit(plain()[10:TRAIN])]),
             "members must be fitted to the same record, got 60 samples of one and 50 of ",
@@ -108,7 +102,6 @@ def mean() -> Forecaster:
             lambda: fitted("linear").predict(2, u=[1.0, 2.0], other_record=True),
             "history must be given where other_record is True, got none",
         ),
-        (lambda: mean().predict(5, level=0.0), "level must be"),
         (lambda: mean().predict(5, level=1.0), "level must be"),
         (lambda: fitted("linear").predict(2, u=[1.0, np.nan]), "u must hold finite numbers"),
         (

@@ -93,9 +93,6 @@ def test_a_network_in_double_precision_stays_in_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(ahead(sb.load(tmp_path)).y, ahead(model).y)
 
 
-# ---------------------------------------------------------------- of the user's own
-
-
 class Own(Leaky):
     """A cell of the user's own that computes when it is made, and drops out in training."""
 
@@ -240,9 +237,6 @@ def test_a_class_that_could_not_be_loaded_is_refused(tmp_path: Path) -> None:
         assert not [*tmp_path.iterdir()]
 
 
-# ---------------------------------------------------------------- damage
-
-
 def test_the_folder_of_a_result_stands_for_its_model_unless_it_holds_another(folder: Path) -> None:
     assert np.array_equal(ahead(sb.load(folder.parent)).y, ahead(fitted("gru")).y)
     fitted("gru").save(folder.parent)
@@ -383,9 +377,6 @@ def test_loading_runs_no_code_that_a_file_names(folder: Path, name: Any, module:
         with pytest.raises(ValueError, match="holds no forecaster that can be read"):
             sb.load(folder)
     assert not (folder / "ran").exists()
-
-
-# ---------------------------------------------------------------- writing
 
 
 @pytest.mark.parametrize("renames", [(0, 0), (1, 1), (1, 0)])

@@ -314,14 +314,6 @@ def test_several_threads_at_once(case: Case, kernel: Run, loop: Run) -> None:
             agree(run.result(), alone, 1e-12)
 
 
-def test_an_euler_rollout_refuses_tensors_that_do_not_fit() -> None:
-    cell, h0, steps, u = euler_case((2, 3, 4, 1, 5, 1), torch.float32)
-    with pytest.raises(ValueError, match=r"u must be \(2, 3, 1\)"):
-        fused_euler(cell, h0, steps, u[:, :2])
-    with pytest.raises(ValueError, match=r"weight_1 must be \(5, 2\)"):
-        fused_euler(cell, h0, steps)
-
-
 @pytest.mark.soak
 def test_the_process_that_compiles_a_kernel_gives_the_bits_of_later_ones(tmp_path: Path) -> None:
     code = """

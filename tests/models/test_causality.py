@@ -126,11 +126,6 @@ def test_with_feedthrough_an_input_acts_on_its_own_sample(name: str) -> None:
             assert not moved[: at + 1].any()
 
 
-def test_a_network_with_feedthrough_has_each_input_twice() -> None:
-    with pytest.raises(ValueError, match="each input twice, of a sample and of the next, got nu"):
-        Recurrent(gru(3), feedthrough=True)
-
-
 @pytest.mark.parametrize("name", HYBRID | CONDITIONED)
 def test_a_simulators_sample_acts_on_nothing_before_it_without_inputs_either(name: str) -> None:
     """A slope may look one sample ahead: the simulation depends on time alone, and is known."""

@@ -98,8 +98,6 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "record.mat": write_mat,
 }
 
-# ---------------------------------------------------------------- signals known at any time
-
 SAMPLES = 240
 
 

@@ -20,9 +20,6 @@ def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-# ---------------------------------------------------------------- a record and its time stamps
-
-
 def test_time_stamps_go_through_slices_and_replacements() -> None:
     record = Record(np.arange(50.0), DT, start=20)
     np.testing.assert_allclose(record.time, times(20, samples=50))
@@ -57,9 +54,6 @@ def test_stamps_that_wander_from_an_even_step_by_more_than_half_a_sample_are_ref
     write(Path("r.csv"), np.cumsum(step), y=np.cumsum(step))
     with pytest.raises(ValueError, match=r"wander by 2\.9 samples from an even step of 0\.1 s"):
         read("r.csv")
-
-
-# ---------------------------------------------------------------- two signals
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 import pytest
 import scipy
@@ -16,8 +17,8 @@ import splitband as sb
 from benchmarks import recommendation, sets
 from splitband.records.named import RECORDS
 from splitband.records.public import PUBLIC, fetch
-from splitband.runtime.arrays import Array
 
+Array = npt.NDArray[Any]
 Generator = np.random.Generator
 N, STEP = 2000, 0.1
 INDEX = np.arange(float(N))
@@ -268,9 +269,6 @@ def test_nothing_is_said_of_the_drawn_records() -> None:
     jobs += recommendation.jobs(range(1005, 1008), False, "default", parts)
     assert len(jobs) == 120 + 66
     assert [said for job in jobs for said in of(job.name, job.record())] == []
-
-
-# ---------------------------------------------------------------- the ways out
 
 
 def fit(made: sb.Record, clean: sb.Record) -> float:

@@ -157,9 +157,6 @@ def test_an_angle_goes_on_before_it_is_interpolated() -> None:
     np.testing.assert_allclose(np.diff(record.y[1:-1, 0]), 10, rtol=1e-6)
 
 
-# ---------------------------------------------------------------- several runs and files
-
-
 def test_runs_are_read_alike() -> None:
     parts = [logged(0.2, seed).assign(run=f"r{seed}") for seed in range(3)]
     records = sb.read(pd.concat(parts), inputs="u", runs="run", step="auto")

@@ -176,9 +176,6 @@ def test_jitter_is_ignored_where_nothing_else_is_wrong(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.y[:, 0], np.arange(50))
 
 
-# ---------------------------------------------------------------- other readings
-
-
 @pytest.mark.parametrize(
     ("stamp", "start"),
     [
@@ -299,9 +296,6 @@ def test_words_of_an_output_need_numbers(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.y[:, 0], np.arange(9) % 3)
 
 
-# ---------------------------------------------------------------- packed files, tables of pandas
-
-
 def zipped(path: Path, text: bytes) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("record.csv", text)
@@ -354,9 +348,6 @@ def test_an_index_of_several_levels_is_refused() -> None:
     whole = table.reset_index()
     found = sb.read(whole[whole["run"] == "b"], columns="y")
     np.testing.assert_array_equal(found.y[:, 0], np.arange(30, 60.0))
-
-
-# ---------------------------------------------------------------- several rates
 
 
 def test_measured_values_survive_a_longer_step() -> None:

@@ -159,7 +159,7 @@ def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> M
     require_records("record", record)
     check_alike(record, fitted.record, "record")
     unstable = fitted.report.unstable()
-    free = _one_ahead(forecaster, record) if unstable else _free_run(forecaster, record)
+    free = _simulated(forecaster, record)
     if free is None:
         raise InputError(
             f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
@@ -197,35 +197,26 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
 
     Returns nothing for a record with too few samples for `check`.
     """
-    if forecaster.require_fitted().report.stable:
-        free = _free_run(forecaster, record)
-        return () if free is None else tests_of(record, free, late=False)
-    free = _one_ahead(forecaster, record)
-    return () if free is None else tests_of(record, free, late=True)
+    free = _simulated(forecaster, record)
+    late = not forecaster.require_fitted().report.stable
+    return () if free is None else tests_of(record, free, late)
 
 
-def _begin(forecaster: Forecaster, record: Record) -> int | None:
-    """Return the first sample after a warm-up; None for a short record."""
+def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
+    """Simulate a record from a warm-up on its first samples to its end; None for a short one.
+
+    An unstable model predicts each sample from those before it instead.
+    """
     warmup = forecaster.warmup or default_warmup(len(record))  # as for test records
     begin = first_after(record.y_with_gaps, max(warmup, 2))
-    return None if begin is None or len(record) - begin < 2 * LAGS else begin
-
-
-def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
-    """Simulate a record to its end, from a warm-up on its first samples; None for a short one."""
-    if (begin := _begin(forecaster, record)) is None:
+    if begin is None or len(record) - begin < 2 * LAGS:
         return None
     other = not forecaster.anchored
-    with without_warnings(ExtrapolationWarning):
-        return forecaster.predict(**after(record, begin), other_record=other)
-
-
-def _one_ahead(forecaster: Forecaster, record: Record) -> Prediction | None:
-    """Predict each sample after a warm-up from those before it; None for a short record."""
-    if (begin := _begin(forecaster, record)) is None:
-        return None
+    if forecaster.require_fitted().report.stable:
+        with without_warnings(ExtrapolationWarning):
+            return forecaster.predict(**after(record, begin), other_record=other)
     origins = [Origin(0, at, 1) for at in range(begin, len(record))]
-    made = forecasts(forecaster, record, origins, other_record=not forecaster.anchored)
+    made = forecasts(forecaster, record, origins, other_record=other)
     y = np.concatenate([said.y for said in made.values()])
     return Prediction(y, record[:begin].grid.after(len(y)), record.columns)
 

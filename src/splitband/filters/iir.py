@@ -47,8 +47,6 @@ def lfilter(
     """
     b, a = normalised(b, a)
     _check_start(start)
-    if start == "odd":
-        raise InputError('start="odd" is for filtering in both directions; use "steady" or "zeros"')
     axis, order, of = time_axis(x.ndim, dim), len(a) - 1, _kind(x)
     rows = of.rows(x, axis)
     if first is None:

@@ -11,7 +11,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -22,9 +21,9 @@ from splitband.runtime.arrays import Array
 xp = torch
 
 
-def rows(x: npt.NDArray[Any] | Tensor, axis: int) -> Tensor:
+def rows(x: Tensor, axis: int) -> Tensor:
     """Return a signal in float64 with its time axis last."""
-    return floating(x).to("cpu", torch.float64).movedim(axis, -1)
+    return x.to("cpu", torch.float64).movedim(axis, -1)
 
 
 def signal(y: Tensor, axis: int, like: Tensor) -> Tensor:
@@ -37,13 +36,6 @@ def one_pass(b: Array, a: Array, x: Tensor, state: Tensor, reverse: bool = False
     """Filter `(..., time)` from `state` `(..., P)`, as `arrays.one_pass` does."""
     y: Tensor = _Pass.apply(x, state, b, a, reverse)  # type: ignore[no-untyped-call]
     return y
-
-
-def floating(x: npt.NDArray[Any] | Tensor) -> Tensor:
-    """Return a signal as a floating-point tensor, which may share the signal's memory."""
-    if not isinstance(x, Tensor):
-        x = torch.from_numpy(np.require(x, requirements=["C", "W"]))
-    return x if x.is_floating_point() else x.double()
 
 
 class _Pass(torch.autograd.Function):

@@ -71,11 +71,9 @@ class Persistence(Forecaster):
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the last sample; raises ValueError where a channel has not been measured yet."""
-        measured = ~np.isnan(known.y)
-        if not measured.any(axis=0).all():
+        if np.isnan(last := _last(known.y)).any():
             raise InputError("history must have a measured sample in every channel")
-        last = len(known.y) - 1 - measured[::-1].argmax(axis=0)
-        return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
+        return np.tile(last, (known.steps, 1))
 
     def step_form(self) -> Steps:
         return LastSteps(self.require_fitted().record.ny)
@@ -210,11 +208,7 @@ class LastSteps(Steps):
         self.ny = ny
 
     def begin(self, history: ForecastContext | None) -> State:
-        last = np.full(self.ny, np.nan)
-        for i, y in enumerate(() if history is None else history.y.T):
-            measured = np.flatnonzero(~np.isnan(y))
-            last[i] = y[measured[-1]] if len(measured) else np.nan
-        return {"last": last}
+        return {"last": np.full(self.ny, np.nan) if history is None else _last(history.y)}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
         return state, state["last"]
@@ -255,6 +249,12 @@ class PeriodSteps(Steps):
         following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
         y = period[0] + self.last.trend.predict(state["time"], 1)[0]
         return {"time": state["time"] + 1, "period": following}, y
+
+
+def _last(y: Array) -> Array:
+    """Return the last measured value of each channel, `(ny,)`; NaN where there is none."""
+    at = len(y) - 1 - np.argmax(~np.isnan(y)[::-1], axis=0)
+    return np.asarray(np.take_along_axis(y, at[None], axis=0)[0])
 
 
 def _errors(y: Array, predicted: Array) -> Array:

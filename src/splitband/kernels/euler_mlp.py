@@ -30,7 +30,6 @@ from splitband.kernels.matmul import matmul
 from splitband.kernels.rollouts import (
     Kernel,
     Shapes,
-    check,
     gradient_steps,
     pad,
     padded,
@@ -45,12 +44,7 @@ def euler_rollout(
     ny: int,
     step_size: float,
     u: Tensor | None,
-    weight_1: Tensor,
-    bias_1: Tensor,
-    weight_2: Tensor,
-    bias_2: Tensor,
-    weight_3: Tensor,
-    bias_3: Tensor,
+    *weights: Tensor,
 ) -> Tensor:
     """Simulate from a given state (paper, Eq. 8, rollout).
 
@@ -65,24 +59,10 @@ def euler_rollout(
     ny : Number of outputs, the first entries of the state.
     step_size : dt.
     u : Known inputs `(batch, steps - 1, nu)` or longer, from time R on, or None.
-    weight_1, bias_1 : `(M, S + nu)` and `(M,)`.
-    weight_2, bias_2 : `(N, M)` and `(N,)`.
-    weight_3, bias_3 : `(S, N)` and `(S,)`.
+    weights : By layer `(M, S + nu)` and `(M,)`, `(N, M)` and `(N,)`, `(S, N)` and `(S,)`.
     """
-    batch, size = h0.shape
-    last = max(steps - 1, 0)
+    batch, last = len(h0), max(steps - 1, 0)
     u = h0.new_empty(batch, last, 0) if u is None else u
-    check(
-        h0,
-        u=(u, (batch, max(last, *u.shape[1:2]), u.shape[-1])),
-        weight_1=(weight_1, (len(bias_1), size + u.shape[-1])),
-        bias_1=(bias_1, (len(bias_1),)),
-        weight_2=(weight_2, (len(bias_2), len(bias_1))),
-        bias_2=(bias_2, (len(bias_2),)),
-        weight_3=(weight_3, (size, len(bias_2))),
-        bias_3=(bias_3, (size,)),
-    )
-    weights = (weight_1, bias_1, weight_2, bias_2, weight_3, bias_3)
     sizes = batch, steps, ny, u.shape[-1], last
     return run(_EulerMLP(*sizes, _forward, _backward, step_size), (h0, u), weights)
 

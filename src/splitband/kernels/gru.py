@@ -18,7 +18,7 @@ from torch import Tensor
 
 from splitband.kernels.common import PAD, Array, Arrays, copy, kernel, part, tanh
 from splitband.kernels.matmul import matmul
-from splitband.kernels.rollouts import Kernel, Shapes, check, gradient_steps, pad, run, split_rows
+from splitband.kernels.rollouts import Kernel, Shapes, gradient_steps, pad, run, split_rows
 
 _W_PLANES = [0, 1, 3]
 """Planes of gates that W has, out of r, z, m and n."""
@@ -28,12 +28,7 @@ def gru_rollout(
     y_warmup: Tensor,
     steps: int,
     u: Tensor | None,
-    weight_ih: Tensor,
-    weight_hh: Tensor,
-    bias_ih: Tensor,
-    bias_hh: Tensor,
-    weight_out: Tensor,
-    bias_out: Tensor,
+    *weights: Tensor,
 ) -> Tensor:
     """Warm up from h = 0 on measured samples, then simulate (paper, Eq. 8, rollout).
 
@@ -46,24 +41,12 @@ def gru_rollout(
     y_warmup : Measured samples `(batch, R, ny)`, float32 or float64.
     steps : Number of samples to simulate.
     u : Known inputs `(batch, R + steps - 1, nu)` or longer, or None.
-    weight_ih, weight_hh : `(3 H, ny + nu)` and `(3 H, H)`, gates r, z, n as in `torch.nn.GRUCell`.
-    bias_ih, bias_hh : `(3 H,)`.
-    weight_out, bias_out : C `(ny, H)` and c `(ny,)`.
+    weights : `(3 H, ny + nu)` and `(3 H, H)`, gates r, z, n as in `torch.nn.GRUCell`; their biases,
+        `(3 H,)` each; C `(ny, H)` and c `(ny,)`.
     """
     batch, warmup, ny = y_warmup.shape
-    size, last = weight_hh.shape[-1], warmup + steps - 1
+    last = warmup + steps - 1
     u = y_warmup.new_empty(batch, last, 0) if u is None else u
-    check(
-        y_warmup,
-        u=(u, (batch, max(last, *u.shape[1:2]), u.shape[-1])),
-        weight_ih=(weight_ih, (3 * size, ny + u.shape[-1])),
-        weight_hh=(weight_hh, (3 * size, size)),
-        bias_ih=(bias_ih, (3 * size,)),
-        bias_hh=(bias_hh, (3 * size,)),
-        weight_out=(weight_out, (ny, size)),
-        bias_out=(bias_out, (ny,)),
-    )
-    weights = (weight_ih, weight_hh, bias_ih, bias_hh, weight_out, bias_out)
     kernel = _GRU(batch, steps, ny, u.shape[-1], last, _forward, _backward)
     return run(kernel, (y_warmup, u), weights)
 

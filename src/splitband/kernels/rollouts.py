@@ -16,7 +16,6 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from splitband.kernels.common import PAD, Array, Arrays
-from splitband.runtime.errors import InputError
 
 Shapes = Sequence[tuple[int, ...]]
 
@@ -150,18 +149,6 @@ def _simulate(
     ]
     run_jobs(kernel.forward, jobs)
     return y, whole, shapes, split
-
-
-def check(like: Tensor, **tensors: tuple[Tensor, tuple[int, ...]]) -> None:
-    """Raise ValueError for a tensor of another shape, dtype or device than `like`'s, the CPU."""
-    if like.dtype not in (torch.float32, torch.float64):
-        raise InputError(f"the kernels take float32 or float64, got {like.dtype}")
-    for name, (tensor, shape) in tensors.items():
-        if tensor.shape != shape or tensor.dtype != like.dtype or tensor.device.type != "cpu":
-            raise InputError(
-                f"{name} must be {shape}, {like.dtype} on the CPU, "
-                f"got {tuple(tensor.shape)}, {tensor.dtype} on {tensor.device}"
-            )
 
 
 def pad(x: Array) -> Array:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from splitband.kernels import state_space_lanes, state_space_rows
 from splitband.kernels.common import Array, Arrays
-from splitband.kernels.rollouts import Kernel, Shapes, check, padded, run, split_rows
+from splitband.kernels.rollouts import Kernel, Shapes, padded, run, split_rows
 
 _MOST_LANES = 128
 """Rows of a job, with steps that fit into the cache."""
@@ -33,15 +33,7 @@ def state_space_rollout(
     y_warmup: Tensor,
     steps: int,
     u: Tensor | None,
-    weight_f: Tensor,
-    bias_f: Tensor,
-    weight_g: Tensor,
-    bias_g: Tensor,
-    weight_x: Tensor,
-    bias_x: Tensor,
-    weight_y: Tensor,
-    bias_y: Tensor,
-    gain: Tensor,
+    *weights: Tensor,
 ) -> Tensor:
     """Warm up as an observer of the measured samples, then simulate.
 
@@ -55,31 +47,13 @@ def state_space_rollout(
     y_warmup : Measured samples `(batch, R, ny)`.
     steps : Number of samples to simulate.
     u : Known inputs `(batch, R + steps - 1, nu)` or longer, or None.
-    weight_f, bias_f, weight_g, bias_g : The units, `(H, S + nu)` and `(H,)`, H >= 0.
-    weight_x, bias_x : [A, B, W_f] `(S, S + nu + H)` and a `(S,)`.
-    weight_y, bias_y : [C, D, W_g] `(ny, S + nu + H)` and c `(ny,)`.
-    gain : K `(S, ny)`.
+    weights : Weight and bias of the units of f and of g, `(H, S + nu)` and `(H,)`, H >= 0;
+        [A, B, W_f] `(S, S + nu + H)` and a `(S,)`; [C, D, W_g] `(ny, S + nu + H)` and c `(ny,)`;
+        K `(S, ny)`.
     """
     batch, warmup, ny = y_warmup.shape
-    size, hidden, last = x0.shape[-1], len(bias_f), max(warmup + steps - 1, 0)
+    last = max(warmup + steps - 1, 0)
     u = y_warmup.new_empty(batch, last, 0) if u is None else u
-    columns = size + u.shape[-1]
-    check(
-        x0,
-        x0=(x0, (batch, size)),
-        y_warmup=(y_warmup, (batch, warmup, ny)),
-        u=(u, (batch, max(last, *u.shape[1:2]), u.shape[-1])),
-        weight_f=(weight_f, (hidden, columns)),
-        bias_f=(bias_f, (hidden,)),
-        weight_g=(weight_g, (hidden, columns)),
-        bias_g=(bias_g, (hidden,)),
-        weight_x=(weight_x, (size, columns + hidden)),
-        bias_x=(bias_x, (size,)),
-        weight_y=(weight_y, (ny, columns + hidden)),
-        bias_y=(bias_y, (ny,)),
-        gain=(gain, (size, ny)),
-    )
-    weights = (weight_f, bias_f, weight_g, bias_g, weight_x, bias_x, weight_y, bias_y, gain)
     kind, of = (_Rows, state_space_rows) if batch < _FEW else (_Lanes, state_space_lanes)
     kernel = kind(batch, steps, ny, u.shape[-1], last, of.forward, of.backward)
     return run(kernel, (x0, y_warmup, u), weights)

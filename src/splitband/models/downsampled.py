@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from splitband.filters.resampling import Alignment, downsample, upsample
 from splitband.models.stepping import Run, SteppedCell
 from splitband.networks import Cell, rollout
-from splitband.networks.layers import nn, torch
+from splitband.networks.layers import Tensor, nn, torch
 from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 @dataclass(frozen=True, eq=False)

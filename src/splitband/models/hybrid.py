@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -33,13 +33,10 @@ from splitband.models.stepping import (
     steady,
 )
 from splitband.networks import Cell, rollout
-from splitband.networks.layers import torch
+from splitband.networks.layers import Tensor, torch
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 class Hybrid(Model):
@@ -126,7 +123,6 @@ class FilteredModel(Hybrid):
         feedthrough: bool = False,
     ) -> None:
         super().__init__(cell, conditioned, feedthrough)
-        _check_one_way(pair)
         self.pair = pair
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -155,8 +151,6 @@ class FilteredModel(Hybrid):
     def _high(self, filtered: Signals, steps: int) -> Tensor:
         """Return H(network); the filter starts from measured samples minus L(simulator)."""
         order, warmup = self.pair.order, filtered.y.shape[1]
-        if warmup < order:
-            raise InputError(f"the warm-up must have at least {order} samples, got {warmup}")
         measured = filtered.y[:, warmup - order :]
         first = measured - _required(filtered)[:, warmup - order : warmup]
         network = rollout(self.cell, filtered.y, steps, filtered.u)
@@ -220,7 +214,7 @@ class FilteredHighModel(Hybrid):
     Raises
     ------
     ValueError
-        For zero-phase filters, and for a down-sampling against the Nyquist condition.
+        For a down-sampling against the Nyquist condition.
     """
 
     steps = SteppedFilteredHigh
@@ -234,7 +228,6 @@ class FilteredHighModel(Hybrid):
         feedthrough: bool = False,
     ) -> None:
         super().__init__(cell, conditioned, feedthrough and downsampling == 1)
-        _check_one_way(pair)
         check_downsampling(downsampling, pair.cutoff or 0.0, pair.sampling_rate)
         self.pair, self.downsampling = pair, downsampling
 
@@ -316,11 +309,6 @@ class ResidualModel(Hybrid):
     def _simulate(self, known: Signals, steps: int) -> Tensor:
         warmup = known.y.shape[1]
         return rollout(self.cell, known.y - _required(known)[:, :warmup], steps, known.u)
-
-
-def _check_one_way(pair: ComplementaryPair) -> None:
-    if pair.zero_phase:
-        raise InputError("the hybrid model's pair must filter one way (zero_phase=False)")
 
 
 def _after_warmup(known: Signals, steps: int) -> Tensor:

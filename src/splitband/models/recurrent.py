@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from splitband.models.base import Model, Signals, Task, as_module, inputs_of
 from splitband.models.stepping import Run, Stepped, SteppedCell
 from splitband.networks import Cell, rollout
+from splitband.networks.layers import Tensor
 from splitband.runtime.arrays import Array
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 class SteppedRecurrent(Stepped):

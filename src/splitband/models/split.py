@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,13 +31,10 @@ from splitband.models.stepping import (
     steady,
 )
 from splitband.networks import Cell, rollout
-from splitband.networks.layers import nn, torch
+from splitband.networks.layers import Tensor, nn, torch
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 LOW, HIGH = "low band", "high band"
 
@@ -116,7 +113,7 @@ class SplitModel(Model):
     Raises
     ------
     ValueError
-        For networks with unsuitable channels, and a down-sampling against the Nyquist condition.
+        For a down-sampling against the Nyquist condition.
     """
 
     steps = SteppedSplit
@@ -140,13 +137,6 @@ class SplitModel(Model):
         self.filter_output, self.conditioned = filter_output, conditioned
         self.feedthrough, self.own_warmup, self.alignment = feedthrough, own_warmup, alignment
         self.register_buffer("slope_scale", torch.ones(1, self.ny, dtype=torch.float64))
-        repeats = 2 if feedthrough else 1
-        of_slow = self.nu * (repeats if downsampling == 1 else 1)
-        needed = [(self.ny, of_slow), (self.ny, self.nu * repeats + 2 * self.ny * conditioned)]
-        sizes = [(network.ny, network.nu) for network in networks]
-        if sizes != needed:
-            reason = ", with 2 ny inputs for the slow band" if conditioned else ""
-            raise InputError(f"the networks' (ny, nu) must be {needed}{reason}, got {sizes}")
         if pair.cutoff is not None:
             check_downsampling(downsampling, pair.cutoff, pair.sampling_rate)
 

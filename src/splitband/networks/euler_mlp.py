@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.networks.in_numpy import dense
-from splitband.networks.layers import nn, torch
+from splitband.networks.layers import Tensor, nn, torch
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 class EulerMLP(WithRepr, nn.Module):

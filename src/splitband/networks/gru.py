@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.networks.in_numpy import values
-from splitband.networks.layers import nn, torch
+from splitband.networks.layers import Tensor, nn, torch
 from splitband.runtime.options import WithRepr
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 class GRU(WithRepr, nn.Module):

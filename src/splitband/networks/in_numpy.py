@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from splitband.networks.cell import Cell, are_plain
-from splitband.networks.layers import nn, torch
+from splitband.networks.layers import Tensor, nn, torch
 from splitband.networks.plain import Dense, PlainEulerMLP, PlainGRU, PlainStateSpace
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 def in_numpy(cell: Cell) -> PlainGRU | PlainEulerMLP | PlainStateSpace | TorchCell:

@@ -17,7 +17,7 @@ from splitband.runtime.optional import has_torch, require_torch
 
 if TYPE_CHECKING or has_torch():
     import torch
-    from torch import nn
+    from torch import Tensor, nn
 else:
 
     class _Weight:
@@ -105,6 +105,6 @@ else:
         def __getattr__(self, name: str) -> Any:
             require_torch(f"torch.{name} of a network")
 
-    torch = _Torch()
+    Tensor, torch = _Weight, _Torch()
 
-__all__ = ["nn", "torch"]
+__all__ = ["Tensor", "nn", "torch"]

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 from splitband.networks.cell import Cell
-from splitband.networks.layers import torch
+from splitband.networks.layers import Tensor, torch
 from splitband.runtime.errors import InputError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 Backend = Literal["auto", "plain", "fused"]
 
@@ -49,7 +46,7 @@ def rollout(
     warmup = y_warmup.shape[1]
     if backend not in get_args(Backend):
         raise InputError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
-    fused = _kernel(cell, y_warmup, steps)
+    fused = _kernel(cell, y_warmup, steps, u)
     if backend == "fused" and fused is None:
         raise InputError(
             f'backend="fused" needs a cell with a kernel, the CPU, float32 or float64 throughout '
@@ -76,14 +73,17 @@ def free_run(cell: Cell, h: Any, steps: int, u: Tensor | None = None) -> tuple[T
     return torch.stack(samples[:steps], dim=1) if steps else y[:, None][:, :0], h
 
 
-def _kernel(cell: Cell, y_warmup: Tensor, steps: int) -> Callable[..., Tensor] | None:
+def _kernel(
+    cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None
+) -> Callable[..., Tensor] | None:
     """Return the cell's fused rollout if its results are those of the loop, else None.
 
     A subclass may step differently: it has to declare `fused_rollout` itself.
     """
     if "fused_rollout" not in vars(type(cell)) or not cell.fusable():  # type: ignore[attr-defined]
         return None
-    dtypes = {y_warmup.dtype, *(p.dtype for p in cell.parameters())}  # type: ignore[attr-defined]
+    given = y_warmup if u is None else u
+    dtypes = {x.dtype for x in (y_warmup, given, *cell.parameters())}  # type: ignore[attr-defined]
     served = y_warmup.device.type == "cpu" and steps > 0 and len(dtypes) == 1
     if served and dtypes <= {torch.float32, torch.float64}:
         return cell.fused_rollout  # type: ignore[attr-defined]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.networks.in_numpy import dense, linear, values
-from splitband.networks.layers import nn, torch
+from splitband.networks.layers import Tensor, nn, torch
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -18,8 +18,6 @@ from splitband.runtime.optional import has_torch
 from splitband.runtime.options import WithRepr
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from splitband.linear.model import Realisation
 
 _RADIUS = 0.95

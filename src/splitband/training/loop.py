@@ -18,7 +18,7 @@ from splitband.training.windows import joined, windows_in
 def fit(
     model: Model,
     records: Record | Sequence[Record],
-    settings: TrainingSettings | None = None,
+    settings: TrainingSettings,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
 ) -> History:
@@ -32,16 +32,10 @@ def fit(
 
     model : The model, with initial parameters.
     records : The training record, without samples to predict, or several records of one system.
-    settings : Training settings; by default `TrainingSettings.of` the shortest record's length.
     seed : Fixes the order of the windows.
     progress : Called after each epoch.
     """
     records = [records] if isinstance(records, Record) else [*records]
-    if not records:
-        raise InputError("records must be one or several, got none")
-    settings = settings or TrainingSettings.of(min(map(len, records)))
-    for record in records:
-        _check_channels(model, record)
     chosen = windows_in(records, settings.window, settings.warmup)
     model.adapt_to(records, settings.normalize)
     began = time.perf_counter()
@@ -71,11 +65,3 @@ def fit(
         history.cut |= training.cut
     history.seconds = time.perf_counter() - began
     return history
-
-
-def _check_channels(model: Model, record: Record) -> None:
-    if (record.ny, record.nu) != (model.ny, model.nu):
-        raise InputError(
-            f"the record must have the model's {model.ny} channel(s) and {model.nu} input(s), "
-            f"got {record.ny} and {record.nu}"
-        )
