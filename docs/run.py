@@ -44,8 +44,10 @@ BLOCK = re.compile(
 )
 PICTURE = re.compile(r"^!\[.*?\]\((.*?)\)$", re.DOTALL | re.MULTILINE)
 TEXT = re.compile(r"^```text\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
+PROGRESS = re.compile(r"^.*; \d+:\d\d so far\n", re.MULTILINE)
+"""What a terminal shows for a moment."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
-TIME = re.compile(r"\d[\d.]*\s*(ms|s|min|seconds?|minutes?)\b")
+TIME = re.compile(r"\d[\d.]*\s*(ms|s|min|seconds?|minutes?)\b|\d+:\d\d")
 FRAME = re.compile(r"[\s─━│┃┏┓┡┩└┘┬┴┳┻╇┼├┤╭╮╰╯]+")
 WIDTH = 96
 """Characters of a line that a page has room for."""
@@ -108,7 +110,9 @@ def executed(path: Path, page: str, fetch: bool) -> list[str]:
                     kept.parent.mkdir(parents=True, exist_ok=True)
                     shutil.copy(drawn, kept)
     return [
-        "\n".join(_wrapped(line.rstrip()) for line in text.strip("\n").splitlines())
+        "\n".join(
+            _wrapped(line.rstrip()) for line in PROGRESS.sub("", text).strip("\n").splitlines()
+        )
         for text in done.stdout.split(f"{END}\n")[:-1]
     ]
 
