@@ -144,15 +144,16 @@ def _timeless(text: str) -> str:
 
 def _close(one: str, other: str) -> bool:
     a, b = (float(text.replace(",", "")) for text in (one, other))
-    place = 10.0 ** -len(one.partition(".")[2]) if "e" not in one else 0.0
-    return abs(a - b) <= max(0.02 * max(abs(a), abs(b)), 1.01 * place * (a != round(a)), NOISE)
+    decimals = one.partition(".")[2]
+    place = 1.01 * 10.0 ** -len(decimals) if decimals.isdigit() else NOISE
+    return abs(a - b) <= max(0.02 * max(abs(a), abs(b)), place)
 
 
 def _shown(output: str, block: re.Match[str]) -> str:
     """Return what stands between the comments: the output, and the pictures as they are."""
     text = f"```text\n{output}\n```\n" if output else ""
     pictures = TEXT.sub("", block["output"]).strip("\n")
-    return text + (f"\n{pictures}\n" if pictures and text else f"{pictures}\n" if pictures else "")
+    return text + ("\n" if text and pictures else "") + (f"{pictures}\n" if pictures else "")
 
 
 def _before(block: re.Match[str]) -> str:
