@@ -49,8 +49,8 @@ PROGRESS = re.compile(r"^.*; \d+:\d\d so far\n", re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
 TIME = re.compile(r"\d[\d.]*\s*(ms|s|min|seconds?|minutes?)\b|\d+:\d\d")
 FRAME = re.compile(r"[\s─━│┃┏┓┡┩└┘┬┴┳┻╇┼├┤╭╮╰╯]+")
-WIDTH = 96
-"""Characters of a line that a page has room for."""
+WIDTH = 100
+"""Characters of a line that a page has room for; tables have a few fewer."""
 NOISE = 1e-6
 """Numbers below it are differences that rounding leaves."""
 END = "-- the end of a block --"
@@ -88,7 +88,7 @@ def executed(path: Path, page: str, fetch: bool) -> list[str]:
     environment = os.environ | {
         "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]),
         "PYTHONPATH": str(ROOT / "src"),
-        **{"COLUMNS": str(WIDTH), "MPLBACKEND": "agg", "NO_COLOR": "1"},
+        **{"COLUMNS": str(WIDTH - 4), "MPLBACKEND": "agg", "NO_COLOR": "1"},
     }
     with TemporaryDirectory() as name:
         folder = Path(name)
