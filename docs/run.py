@@ -182,7 +182,8 @@ def run(path: Path, check: bool) -> Iterator[str]:
         before, after = _before(block), block["output"]
         if not alike(before, output):
             differs, after = True, _shown(output, block)
-            yield "\n".join(difflib.ndiff(before.splitlines(), output.splitlines()))
+            lines = before.splitlines(), output.splitlines()
+            yield "\n".join([*difflib.unified_diff(*lines, n=0, lineterm="")][2:])
         text += page[end : block.start("output")] + after
         end = block.end("output")
     page = text + page[end:]
