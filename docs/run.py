@@ -49,8 +49,8 @@ PROGRESS = re.compile(r"^.*; \d+:\d\d so far\n", re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
 TIME = re.compile(r"\d[\d.]*\s*(ms|s|min|seconds?|minutes?)\b|\d+:\d\d")
 FRAME = re.compile(r"[\s─━│┃┏┓┡┩└┘┬┴┳┻╇┼├┤╭╮╰╯]+")
-WIDTH = 100
-"""Characters of a line that a page has room for; tables have a few fewer."""
+WIDTH = 88
+"""Characters of a line that a page has room for."""
 NOISE = 1e-6
 """Numbers below it are differences that rounding leaves."""
 END = "-- the end of a block --"
@@ -88,7 +88,7 @@ def executed(path: Path, page: str, fetch: bool) -> list[str]:
     environment = os.environ | {
         "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]),
         "PYTHONPATH": str(ROOT / "src"),
-        **{"COLUMNS": str(WIDTH - 4), "MPLBACKEND": "agg", "NO_COLOR": "1"},
+        **{"COLUMNS": str(WIDTH), "MPLBACKEND": "agg", "NO_COLOR": "1"},
     }
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -118,8 +118,8 @@ def executed(path: Path, page: str, fetch: bool) -> list[str]:
 
 
 def _wrapped(line: str) -> str:
-    """Return a sentence on lines of a page's width, a row of a table as it is."""
-    if len(line) <= WIDTH or "  " in line or FRAME.match(line):
+    """Return a sentence on lines of a page's width, a row of a table or of a program as it is."""
+    if len(line) <= WIDTH or "  " in line or FRAME.match(line) or line.startswith("/*"):
         return line
     return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False)
 
