@@ -3,7 +3,7 @@
 A system of first order, for even seeds, or with a resonance, for odd ones, is driven by one of the
 `INPUTS` for 1,000 samples, and measured with one of the `NOISES` of a tenth of the output's
 deviation. The right one of the `MODELS` leaves the noise alone. The tests have a level of 99 %; it
-was developed on the seeds 0 to 99 (docs/results/rules.md).
+was developed on the seeds 0 to 99 (docs/developers/rules.md).
 """
 
 from __future__ import annotations

@@ -44,10 +44,12 @@ BLOCK = re.compile(
 )
 PICTURE = re.compile(r"^!\[.*?\]\((.*?)\)$", re.DOTALL | re.MULTILINE)
 TEXT = re.compile(r"^```text\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
+PROGRESS = re.compile(r"^.*; \d+:\d\d so far\n", re.MULTILINE)
+"""What a terminal shows for a moment."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
-TIME = re.compile(r"\d[\d.]*\s*(ms|s|min|seconds?|minutes?)\b")
+TIME = re.compile(r"\d[\d.]*\s*(ms|s|min|seconds?|minutes?)\b|\d+:\d\d")
 FRAME = re.compile(r"[\s─━│┃┏┓┡┩└┘┬┴┳┻╇┼├┤╭╮╰╯]+")
-WIDTH = 96
+WIDTH = 88
 """Characters of a line that a page has room for."""
 NOISE = 1e-6
 """Numbers below it are differences that rounding leaves."""
@@ -108,14 +110,16 @@ def executed(path: Path, page: str, fetch: bool) -> list[str]:
                     kept.parent.mkdir(parents=True, exist_ok=True)
                     shutil.copy(drawn, kept)
     return [
-        "\n".join(_wrapped(line.rstrip()) for line in text.strip("\n").splitlines())
+        "\n".join(
+            _wrapped(line.rstrip()) for line in PROGRESS.sub("", text).strip("\n").splitlines()
+        )
         for text in done.stdout.split(f"{END}\n")[:-1]
     ]
 
 
 def _wrapped(line: str) -> str:
-    """Return a sentence on lines of a page's width, a row of a table as it is."""
-    if len(line) <= WIDTH or "  " in line or FRAME.match(line):
+    """Return a sentence on lines of a page's width, a row of a table or of a program as it is."""
+    if len(line) <= WIDTH or "  " in line or FRAME.match(line) or line.startswith("/*"):
         return line
     return textwrap.fill(line, WIDTH, subsequent_indent="  ", break_long_words=False)
 
@@ -140,15 +144,16 @@ def _timeless(text: str) -> str:
 
 def _close(one: str, other: str) -> bool:
     a, b = (float(text.replace(",", "")) for text in (one, other))
-    place = 10.0 ** -len(one.partition(".")[2]) if "e" not in one else 0.0
-    return abs(a - b) <= max(0.02 * max(abs(a), abs(b)), 1.01 * place * (a != round(a)), NOISE)
+    decimals = one.partition(".")[2]
+    place = 1.01 * 10.0 ** -len(decimals) if decimals.isdigit() else NOISE
+    return abs(a - b) <= max(0.02 * max(abs(a), abs(b)), place)
 
 
 def _shown(output: str, block: re.Match[str]) -> str:
     """Return what stands between the comments: the output, and the pictures as they are."""
     text = f"```text\n{output}\n```\n" if output else ""
     pictures = TEXT.sub("", block["output"]).strip("\n")
-    return text + (f"\n{pictures}\n" if pictures and text else f"{pictures}\n" if pictures else "")
+    return text + ("\n" if text and pictures else "") + (f"{pictures}\n" if pictures else "")
 
 
 def _before(block: re.Match[str]) -> str:
@@ -177,7 +182,8 @@ def run(path: Path, check: bool) -> Iterator[str]:
         before, after = _before(block), block["output"]
         if not alike(before, output):
             differs, after = True, _shown(output, block)
-            yield "\n".join(difflib.ndiff(before.splitlines(), output.splitlines()))
+            lines = before.splitlines(), output.splitlines()
+            yield "\n".join([*difflib.unified_diff(*lines, n=0, lineterm="")][2:])
         text += page[end : block.start("output")] + after
         end = block.end("output")
     page = text + page[end:]

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import splitband
-from docs.run import PICTURE, blocks, run
+from docs.run import PICTURE, alike, blocks, run
 from docs.tables import PAGES
 from splitband.cli import COMMANDS
 from splitband.comparison.methods import NAMES
@@ -197,3 +197,20 @@ def test_blocks_are_run_again_and_what_differs_is_written(
     page.write_text(whole.replace("print(a)", "print(1 / 0)"))
     with pytest.raises(ValueError, match="ZeroDivisionError"):
         [*run(page, check=True)]
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("fit 97.0 %", "fit 95.5 %", True),
+        ("fit 97.0 %", "fit 90.0 %", False),
+        ("-0.1", "0.0", True),
+        ("difference 3e-15", "difference 1e-16", True),
+        ("took 3 s, ended 0:12", "took 40 ms, ended 2:00", True),
+        ("2 poles", "two poles", False),
+        ("┃ a ┃ fit (s) ┃\n│ 1 │ 0.3 │", "┃ a ┃  fit (s) ┃\n│ 1 │ 17.5 │", True),
+        ("┃ a ┃ fit (s) ┃\n│ 1 │ 0.3 │", "┃ a ┃ fit (s) ┃\n│ 2 │ 0.3 │", False),
+    ],
+)
+def test_outputs_are_alike_but_for_times_and_last_places(one: str, other: str, same: bool) -> None:
+    assert alike(one, other) is same

@@ -15,6 +15,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import splitband as sb
+from docs.run import blocks
 from splitband.export.fmu import PortNames, port_name
 from tests.export.test_c import STRICT
 from tests.streams import driven, fitted, free, rows
@@ -246,9 +247,9 @@ def test_the_loop_of_the_guide_gives_the_numbers_of_predict(
     """Inputs, outputs, step; FMPy's own loop reads too soon where the input steps."""
     monkeypatch.chdir(tmp_path)
     page = (Path(__file__).parents[2] / "docs/howto/embed.md").read_text(encoding="utf-8")
-    block = next(each for each in page.split("```{run} python\n")[1:] if "doStep" in each)
+    code = next(block["code"] for block in blocks(page) if "doStep" in block["code"])
     known: dict[str, Any] = {}
-    exec(block.split("```")[0], known)
+    exec(code, known)
     found, wanted, force = np.array(known["found"][40:]), known["p"].y[:, 0], known["run"].u[40:]
     deviation = float(np.std(wanted))
     np.testing.assert_allclose(found, wanted, atol=1e-9 * deviation)

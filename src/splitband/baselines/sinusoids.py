@@ -35,7 +35,7 @@ FAST_DAMPING = 3.0
 RATE = 3
 """Weight in the strict BIC of a frequency, a decay rate or a slope, in parameters: its information
 grows with the third power of the number of samples (P. M. Djuric, IEEE Transactions on Signal
-Processing 44, 1996). Chosen on development records (docs/results/rules.md)."""
+Processing 44, 1996). Chosen on development records (docs/developers/rules.md)."""
 RESOLUTION = 0.1
 """Smallest singular value of regressors, as a share of the largest: sinusoids of nearly equal
 frequencies count as one. By eye."""

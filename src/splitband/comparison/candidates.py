@@ -40,7 +40,7 @@ LEAST_IMPROVEMENT = 0.01
 """A round that lowers the held-out error by less than this share of it has changed nothing."""
 FINAL_SHARE = 0.25
 """Iterations of a final training, which goes on on all samples, as a share of those before. Four
-times as many change no error by the whole command (docs/results/rules.md)."""
+times as many change no error by the whole command (docs/developers/rules.md)."""
 
 
 @dataclass(eq=False)

@@ -59,7 +59,7 @@ class Trial:
 
         Of two methods that do equally well on a short held-out part, the simpler one is less likely
         to fail later. A penalty on how much a forecast changes when the held-out part is learned as
-        well would change the result of one reported record only (docs/results/rules.md).
+        well would change the result of one reported record only (docs/developers/rules.md).
         """
         return self.ranked(self.final or self.scores)[0]
 

@@ -36,7 +36,7 @@ SEEDS = 8
 LEAST_MEMBERS = 3
 """Smallest number of trainings in the median on records of up to `SHORT_RECORD` samples: the median
 of fewer is their mean, which one of them can spoil. On longer ones, held-out errors tell which
-training is best (docs/results/rules.md)."""
+training is best (docs/developers/rules.md)."""
 GIVEN_SEEDS = 3
 """Default number of trainings of a network whose settings are given."""
 

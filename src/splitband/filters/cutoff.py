@@ -37,7 +37,7 @@ MOST_ALIASED = 1e-3
 halving and doubling."""
 LEFT_BY_NETWORK = 0.02
 """Expected error of a network conditioned on the simulator, as a share of the power. From held-out
-errors of hybrids on (v) and (vi), with the simulator in the low band (docs/results/rules.md)."""
+errors of hybrids on (v) and (vi), with the simulator in the low band (docs/developers/rules.md)."""
 WORTH_USING = 0.5
 """Largest error of a usable simulator in its band, as a share of the power there. By eye."""
 _CUTOFFS = 24

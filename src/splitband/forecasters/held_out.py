@@ -32,7 +32,7 @@ TRAINING_SHARE = 0.75
 """Default share of a record to train on."""
 HELD_OUT_SHARE = 0.25
 """Share of the training part that is held out for a trial, while models are fitted to the rest. A
-convention; longer parts chose no better (docs/results/rules.md)."""
+convention; longer parts chose no better (docs/developers/rules.md)."""
 HELD_OUT_SHARES = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
 """Shares of a record that methods which are quickly fitted forecast from the samples before them,
 one for each origin: a long share shows how errors grow, a short one is forecast by nearly the final

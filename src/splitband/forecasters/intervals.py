@@ -22,7 +22,7 @@ from splitband.runtime.errors import InputError
 
 EXPONENTS = np.linspace(0, 1, 11)
 """Candidate exponents of the growth of errors with the horizon, from 0 (constant) to 1 (a drift).
-Power laws were chosen among laws of growth on 44 development records (docs/results/rules.md)."""
+Power laws were chosen among laws of growth on 44 development records (docs/developers/rules.md)."""
 FEWEST = 2.0
 """Smallest number of independent errors that is assumed; with 1, Student's quantile would be
 twice as large. By eye."""
@@ -37,7 +37,7 @@ PARTS, BOUNDED = 4, 1.1
 """A signal that does not wander is bounded: its variance is at most `BOUNDED` times the mean
 variance of its `PARTS` parts. One that wanders varies more as a whole than in a part. By eye; the
 limit for bounded channels makes intervals narrower on development records
-(docs/results/rules.md)."""
+(docs/developers/rules.md)."""
 
 
 Misfit = Literal["", "narrow", "wide"]

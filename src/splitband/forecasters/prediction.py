@@ -2,7 +2,7 @@
 
 Several trainings are combined by the median of their predictions, sample by sample. One that goes
 astray, on inputs that it has not learned from, moves a mean as far as it goes itself, and a median
-hardly (docs/results/rules.md).
+hardly (docs/developers/rules.md).
 """
 
 from __future__ import annotations

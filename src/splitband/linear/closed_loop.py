@@ -48,15 +48,15 @@ _EXACT = 1e-4
 """Smallest RMS error that counts, in standard deviations. Smaller ones are the curvature of a plant
 without noise."""
 _HELD = 100.0
-"""Least growth of an unstable state over the record. See docs/results/rules.md."""
+"""Least growth of an unstable state over the record. See docs/developers/rules.md."""
 _SURE = 3.0
-"""Standard errors from a pole to its lower limit. See docs/results/rules.md."""
+"""Standard errors from a pole to its lower limit. See docs/developers/rules.md."""
 _DOUBLING = 4
 """Fewest samples in which an unstable state doubles: a controller would be too slow for a faster
 one, and inputs that are logged late look like it."""
 _NEEDED = 0.5
 """Least effect of the inputs on the state, and least information that they have of the outputs, as
-shares of what a controller needs. See docs/results/rules.md."""
+shares of what a controller needs. See docs/developers/rules.md."""
 _ADEQUATE = 2.0
 """Largest error of a predictor, as a multiple of the error of the ARX model. By eye."""
 _ITERATIONS = 12

@@ -60,7 +60,7 @@ Without these orders five of 44 records lose 13 to 65 % of fit, one gains."""
 _ORDERS = (*range(1, 9), *range(10, 26, 2), 28, 32, 36, 40, 44, 48, 54, 60)
 """Candidate orders. Bounds the time."""
 _MOST_AVERAGED = 8
-"""Largest order from averaged samples, for slow systems. See docs/results/rules.md."""
+"""Largest order from averaged samples, for slow systems. See docs/developers/rules.md."""
 _TOLERANCE = 0.01
 """Negligible difference of the logarithms of held-out errors. Checked by halving and doubling.
 """
