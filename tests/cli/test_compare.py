@@ -92,9 +92,8 @@ def test_compare_prints_its_table_and_where_the_files_are(
     line = "compare record.csv --columns a --methods persistence,seasonal-naive --horizon 20"
     call(line, tmp_path)
     said, found = capsys.readouterr(), results(tmp_path)
-    row = next(line for line in said.out.splitlines() if "last value held  " in line)
-    for key in ("total_rmse", "forecast_rmse"):
-        assert f"{found['methods']['persistence'][key][0]:.2f}" in row
+    row = next(line for line in said.out.splitlines() if "last value held (persistence) " in line)
+    assert f"{found['methods']['persistence']['forecast_rmse'][0]:.2f}" in row
     (fit,) = (c["values"] for c in found["table"] if c["heading"] == "forecast fit %")
     assert f"fit {fit[found['recommended']]:.1f} %" in said.out
     assert str(tmp_path) in said.out
@@ -107,14 +106,14 @@ def test_the_answer_comes_first_and_reasons_only_where_asked_for(
     line = "compare record.csv --columns a --inputs force --methods linear,mean"
     call(line, tmp_path)
     said = capsys.readouterr().out
-    parts = ["recommended: ", "fit ", "trained model: ", "┃ method", "time: "]
+    parts = ["recommended: ", "fit ", "\nmodel: ", "┃ method", "time: "]
     places = [said.index(part) for part in parts]
     assert places == sorted(places)
     assert "order" not in said[places[3] :]
     call(f"--verbose {line}", tmp_path)
     loud = capsys.readouterr().out
     assert "linear model: " in loud[loud.index("┃ method") :]
-    assert "Lowest score" in loud
+    assert "Its score is the lowest" in " ".join(loud.split())
     assert "residual tests: " in loud
 
 

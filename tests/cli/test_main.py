@@ -119,7 +119,7 @@ def test_the_doctor_finds_a_record_that_is_not_the_published_one(
     call("doctor --json")
     found = json.loads(capsys.readouterr().out)["public records"]
     assert "is not the published drill_string_sim" in found["drill_string_sim"]
-    assert found["drill_string_data"] == "not there: splitband data --fetch"
+    assert found["drill_string_data"] == "not downloaded: splitband data --fetch"
 
 
 def test_quiet_prints_nothing_but_errors_and_writes_the_same(

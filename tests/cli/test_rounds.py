@@ -100,7 +100,7 @@ def test_skip_done_leaves_a_finished_result_alone_and_begins_another_anew(
     capsys.readouterr()
     other = line.replace("mean", "persistence")
     call(other, tmp_path)
-    said = f"{tmp_path} has a finished comparison of record: left alone\n"
+    said = f"{tmp_path} has a finished comparison of record already: nothing is done\n"
     assert capsys.readouterr().out == said
     call(f"{other} --json", tmp_path)
     assert json.loads(capsys.readouterr().out) == facts
