@@ -52,7 +52,7 @@ WITHOUT_TERMS = "grey-box-without-terms"
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Hold all decisions of a comparison; `run` computes it.
+    """All decisions of a comparison; `run` computes it.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Down-sample and up-sample signals by a factor k (paper, Sec. 4.2).
+"""Down-sample and up-sample signals by a factor k (Ensinger et al. 2023, Sec. 4.2).
 
 Signals are `(time,)`, `(time, ny)` or `(batch, time, ny)`.
 NumPy in, NumPy out; torch in, torch out.
@@ -31,7 +31,7 @@ def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -
 
 
 def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
-    """Return every k-th sample from `offset` on (paper, Eq. 9, down-sampling)."""
+    """Return every k-th sample from `offset` on (Ensinger et al. 2023, Eq. 9, down-sampling)."""
     if k < 1:
         raise InputError(f"k must be at least 1, got {k}")
     if offset < 0:
@@ -40,7 +40,7 @@ def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
 
 
 def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "time") -> Signal:
-    """Insert k - 1 samples after each one by linear interpolation (paper, Sec. 4.2).
+    """Insert k - 1 samples after each one by linear interpolation (Ensinger et al. 2023, Sec. 4.2).
 
     y : The down-sampled signal, n samples.
     k : The factor.
