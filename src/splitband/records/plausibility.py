@@ -61,7 +61,7 @@ def _summer_time(record: Record) -> list[str]:
         f"an hour is missing at {at}, as where summer time begins: if it does there, no sample is "
         "missing once the stamps have a zone, in pandas tz_localize('Europe/Berlin')"
         for at in hours
-        if at.dayofweek == SUNDAY and at.hour in (1, 2)
+        if at.day_of_week == SUNDAY and at.hour in (1, 2)
     ]
 
 
