@@ -137,7 +137,7 @@ def test_quiet_prints_nothing_but_errors_and_writes_the_same(
     call("fit record.csv --columns a --method mean --quiet", tmp_path / "forgotten")
     assert "not used: b, force; --inputs" in capsys.readouterr().err
     call(INSPECT, tmp_path / "aloud")  # what comes after a quiet command is not quiet
-    assert "strongest frequencies" in capsys.readouterr().out
+    assert "Strongest frequencies" in capsys.readouterr().out
     quiet, aloud = results(tmp_path / "quiet"), results(tmp_path / "aloud")
     differ = quiet.pop("arguments").items() ^ aloud.pop("arguments").items()
     assert differ == {("out", str(tmp_path / name)) for name in ("quiet", "aloud")}
