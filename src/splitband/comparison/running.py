@@ -92,8 +92,8 @@ class RunningComparison:
     def trial(self) -> Trial:
         """Return the results on held-out samples so far."""
         if self._trial is None:
-            given = self.plan.training, self.trials, {}, self.failed, self.plan.also
-            self._trial = judged(*given)
+            plan = self.plan
+            self._trial = judged(plan.training, self.trials, {}, self.failed, plan.also)
         return self._trial
 
     @property
