@@ -39,7 +39,7 @@ def channel_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
 
 
 def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
-    """Return sqrt(sum_{k<=n} ||y_k - prediction_k||^2 / (n + 1)), `(time,)` (paper, Sec. 5)."""
+    """Return sqrt(sum_{k<=n} ||y_k - prediction_k||^2 / (n + 1)), `(time,)`."""
     return _cumulative(_squared_errors(y, prediction), np.asarray(y, float))
 
 

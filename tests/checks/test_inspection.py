@@ -10,6 +10,7 @@ import scipy.signal
 
 import splitband as sb
 from splitband.checks.inspection import Inspection, of_unnamed, unnamed_inputs
+from splitband.records.public import data_folder
 from splitband.records.signals import ReadingWarning
 from splitband.runtime.arrays import Array
 
@@ -156,3 +157,26 @@ def test_inputs_that_are_given_stay_and_a_set_point_is_held() -> None:
 def test_what_is_no_record_is_refused(bad: Any) -> None:
     with pytest.raises(TypeError, match="record must be a Record"):
         sb.inspect(bad)
+
+
+def test_a_column_that_counts_up_may_number_runs_and_is_asked_about() -> None:
+    u = np.repeat(np.random.default_rng(4).uniform(-1, 1, N // 25), 25)
+    run = 1.0 + np.arange(N) // (N // 3)
+    found = inspected(run=run, force=u, level=lag(0.9, u, 1))
+    assert {c.name: c.role for c in found.columns}["run"] == "run?"
+    assert found.options == {"inputs": ["force"], "columns": ["level"]}
+    (said,) = found.warnings
+    assert "--runs run" in said
+    assert "--inputs" in said
+    step = (np.arange(N) > N // 2).astype(float)  # a step test has one step, too
+    roles = {c.name: c.role for c in inspected(valve=step, level=lag(0.9, step, 1)).columns}
+    assert roles["valve"] == "input"
+
+
+def test_a_slow_nonlinear_response_is_no_dead_time() -> None:
+    """Of the cascaded tanks of the nonlinear benchmark a delay of 64 s was said; they have none."""
+    path = data_folder() / "benchmarks" / "ct_test.csv"
+    if not path.exists():
+        pytest.skip("the benchmark is not there")
+    found = sb.inspect(sb.read(path, inputs=["u"]))
+    assert found.dead_times == {("u", "y"): 0.0}

@@ -27,7 +27,7 @@ def test_a_comparison_is_made_for_some_samples_ahead(
     ]
     assert f"a, 12 samples ahead: fit {ahead[2]['values'][best]:.1f} % (1 ahead: " in said
     assert "simulation of" in said or "forecast of" in said
-    assert "Samples ahead: 1, 12 from each of" in said
+    assert "Fits 1, 12 samples ahead are from" in " ".join(said.split())
     assert f"windows of {WARMUP + 12}" in found["methods"]["gru"]["description"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Error by samples ahead" in page

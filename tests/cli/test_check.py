@@ -10,7 +10,8 @@ import pytest
 import scipy
 
 import splitband as sb
-from tests.cli.support import call, results
+from splitband.metrics import tenths
+from tests.cli.support import assert_fails, call, results
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +62,33 @@ def test_compare_and_check_say_the_same_of_a_model_on_a_record(
     (one,) = results(tmp_path / "compared")["residual_tests"]
     (other,) = results(tmp_path / "checked")["residuals"]
     assert (one["outcome"], one["verdict"]) == (other["outcome"], other["verdict"])
+
+
+@pytest.mark.usefixtures("drawn")
+def test_several_models_are_drawn_over_one_record_with_their_fits_in_a_table(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = sb.read(folder / "first.csv", inputs=["force"])
+    sb.Mean().fit(record).save(tmp_path / "level")
+    names = [f"{folder}/model", f"{tmp_path}/level"]
+    call(f"check {' '.join(names)} --record {folder}/second.csv", tmp_path / "out")
+    said, found = capsys.readouterr().out, results(tmp_path / "out")["models"]
+    assert [*found] == names
+    alone = sb.check(sb.load(names[0]), sb.read(folder / "second.csv", inputs=["force"]))
+    assert found[names[0]]["fit"]["simulation"]["x (mm)"] == alone.fits["simulation"][0]
+    assert (found[names[0]]["outcome"], found[names[1]]["outcome"]) == ("accepted", "rejected")
+    for each in found.values():
+        assert tenths(each["fit"]["simulation"]["x (mm)"]) in said
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "2 models on second" in page
+    assert all(name in page for name in names)
+
+
+def test_models_of_differently_prepared_records_are_not_drawn_over_one(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = sb.read(folder / "first.csv", inputs=["force"])
+    sb.Linear().fit(record.detrend()).save(tmp_path / "other")
+    line = f"check {folder}/model {tmp_path}/other --record {folder}/second.csv"
+    says = "MODEL_DIR must be models of the same outputs, prepared in the same way", "other"
+    assert_fails(f"{line} --out {tmp_path}/out", says, capsys)

@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from splitband import load
@@ -19,6 +20,7 @@ from tests.cli.support import (
     WARMUP,
     A,
     B,
+    assert_fails,
     call,
     files,
     results,
@@ -92,9 +94,8 @@ def test_compare_prints_its_table_and_where_the_files_are(
     line = "compare record.csv --columns a --methods persistence,seasonal-naive --horizon 20"
     call(line, tmp_path)
     said, found = capsys.readouterr(), results(tmp_path)
-    row = next(line for line in said.out.splitlines() if "last value held  " in line)
-    for key in ("total_rmse", "forecast_rmse"):
-        assert f"{found['methods']['persistence'][key][0]:.2f}" in row
+    row = next(line for line in said.out.splitlines() if "last value held (persistence) " in line)
+    assert f"{found['methods']['persistence']['forecast_rmse'][0]:.2f}" in row
     (fit,) = (c["values"] for c in found["table"] if c["heading"] == "forecast fit %")
     assert f"fit {fit[found['recommended']]:.1f} %" in said.out
     assert str(tmp_path) in said.out
@@ -107,14 +108,14 @@ def test_the_answer_comes_first_and_reasons_only_where_asked_for(
     line = "compare record.csv --columns a --inputs force --methods linear,mean"
     call(line, tmp_path)
     said = capsys.readouterr().out
-    parts = ["recommended: ", "fit ", "trained model: ", "┃ method", "time: "]
+    parts = ["recommended: ", "fit ", "\nmodel: ", "┃ method", "time: "]
     places = [said.index(part) for part in parts]
     assert places == sorted(places)
     assert "order" not in said[places[3] :]
     call(f"--verbose {line}", tmp_path)
     loud = capsys.readouterr().out
     assert "linear model: " in loud[loud.index("┃ method") :]
-    assert "Lowest score" in loud
+    assert "Its score is the lowest" in " ".join(loud.split())
     assert "residual tests: " in loud
 
 
@@ -169,3 +170,28 @@ def test_the_command_of_the_page_fits_the_recommended_method_again(tmp_path: Pat
     words = shlex.split(line.replace("\\\n", " "))
     call(shlex.join(words[: words.index("--out")]), tmp_path / "model")
     assert results(tmp_path / "model")["more"] == ["record.csv"]
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_simulation_made_elsewhere_is_a_row_and_never_recommended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not even one that is exactly right."""
+    record = pd.read_csv("record.csv")
+    mine, half = tmp_path / "mine.csv", tmp_path / "half.csv"
+    record[["time", "a"]].to_csv(mine, index=False)
+    record[["time", "a"]][:100].to_csv(half, index=False)
+    line = f"compare record.csv --columns a --methods mean,harmonic --jobs 1 --also {mine}"
+    call(line, tmp_path / "out")
+    said, found = capsys.readouterr().out, results(tmp_path / "out")
+    fits = next(c["values"] for c in found["table"] if c["heading"] == "forecast fit %")
+    assert fits[str(mine)] == pytest.approx(100)
+    assert found["recommended"] == "harmonic"
+    assert "100.0" in said
+    assert f"a, {mine}, forecast" in pd.read_csv(tmp_path / "out" / "predictions.csv")
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert str(mine) in page
+    alone = f"compare record.csv --columns a --methods gru --window 300 --also {mine}"
+    assert_fails(f"{alone} --out {tmp_path}/no", ("window",), capsys)
+    says = "--also", "must cover"
+    assert_fails(f"{line.replace('mine', 'half')} --out {tmp_path}/no", says, capsys)

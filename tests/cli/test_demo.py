@@ -49,5 +49,8 @@ def test_the_demo_tells_its_story_with_the_errors_of_its_run(
         errors = table[f"load [m], {name}, forecast"].to_numpy()[400:] - truth[400:, 0]
         first, last = (np.sqrt(np.mean(part**2)) for part in (errors[:300], errors[-300:]))
         assert f"{named(name).in_words()}: {first:.2f} m, then {last:.2f} m" in said
-    assert f"recommended: {named(found['recommended']).title} simulation of 400" in said
+    assert (
+        f"recommended: {named(found['recommended']).title}, chosen by held-out error simulation of"
+        in said
+    )
     assert "over the whole simulation: " in said

@@ -90,7 +90,7 @@ def test_a_plant_compares_and_simulates_without_error(
     rig = "--inputs heater,valve --columns level --simulator Plant.fmu"
     line = f"compare rig.csv {rig} --methods simulator,mean --train {TRAIN} --test rig.csv"
     call(line, tmp_path / "out")
-    assert "test record rig (2) are training samples" in capsys.readouterr().out
+    assert "The test record rig (2) contains training samples" in capsys.readouterr().out
     found = results(tmp_path / "out")["methods"]["simulator"]
     assert max(*found["forecast_rmse"], *found["total_rmse"], *found["test_rmse"][0]) < 1e-6
     call(f"fit past.csv {rig} --method simulator", tmp_path / "model")

@@ -157,7 +157,7 @@ def test_inputs_that_are_not_named_are_said_first_with_the_command(
     warning = "warning: probably inputs, not outputs: 'valve' (moves in 19 steps, leads level"
     assert warning in said
     assert said.index(warning) < said.index("to use them as inputs:\n    splitband " + command)
-    assert "--inputs valve" in said.partition("with inputs:")[2].partition("\n\n")[0]
+    assert "--inputs valve" in said.partition("as inputs:")[2].partition("\n\n")[0]
     assert warning.removeprefix("warning: ") in str(results(tmp_path / "out")["warnings"])
 
 

@@ -1,15 +1,19 @@
 """What holds for every command: help, entry points, quiet, JSON, version, methods, doctor."""
 
 import json
+import re
 import shutil
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import splitband as sb
-from splitband.cli import COMMANDS, main
+from splitband.cli import COMMANDS, main, methods
+from splitband.comparison.methods import NAMES
+from splitband.comparison.methods import QUICK as UNTRAINED
 from tests.cli.support import QUICK, assert_fails, call, complaints, process, results
 
 pytestmark = pytest.mark.usefixtures("inside")
@@ -35,6 +39,7 @@ def test_every_command_has_help(
     call(f"{command} --help")
     found = capsys.readouterr()
     assert [word for word in words.split(" --") if word not in found.out] == []
+    assert not re.findall(r"<\w+>|\[x|\bint\b|\bstr\b", found.out)  # values have names, no types
     assert found.err == ""
 
 
@@ -119,7 +124,7 @@ def test_the_doctor_finds_a_record_that_is_not_the_published_one(
     call("doctor --json")
     found = json.loads(capsys.readouterr().out)["public records"]
     assert "is not the published drill_string_sim" in found["drill_string_sim"]
-    assert found["drill_string_data"] == "not there: splitband data --fetch"
+    assert found["drill_string_data"] == "not downloaded: splitband data --fetch"
 
 
 def test_quiet_prints_nothing_but_errors_and_writes_the_same(
@@ -132,7 +137,7 @@ def test_quiet_prints_nothing_but_errors_and_writes_the_same(
     call("fit record.csv --columns a --method mean --quiet", tmp_path / "forgotten")
     assert "not used: b, force; --inputs" in capsys.readouterr().err
     call(INSPECT, tmp_path / "aloud")  # what comes after a quiet command is not quiet
-    assert "strongest frequencies" in capsys.readouterr().out
+    assert "Strongest frequencies" in capsys.readouterr().out
     quiet, aloud = results(tmp_path / "quiet"), results(tmp_path / "aloud")
     differ = quiet.pop("arguments").items() ^ aloud.pop("arguments").items()
     assert differ == {("out", str(tmp_path / name)) for name in ("quiet", "aloud")}
@@ -160,3 +165,17 @@ def test_a_defect_is_no_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     with pytest.raises(ValueError, match="cannot reshape"):
         main(["inspect", "record.csv", "--out", "out"])
+
+
+def test_the_table_of_methods_names_each_of_them(capsys: pytest.CaptureFixture[str]) -> None:
+    call("methods")
+    said = capsys.readouterr().out
+    kinds, bases, networks, options = methods.COLUMNS.values()
+    assert all(part in said for part in (*kinds, *bases, *networks, *options, *methods.MEANINGS))
+    found = {*methods.NETWORKS, "split-gru", "split-gru-hp", *UNTRAINED}
+    for kind, base, network in product(kinds, bases, networks):
+        calibrated = base == "(simulator)"
+        name = f"{kind}{'' if calibrated else base}{network}"
+        found |= {name, f"{name}{options[0]}"} if calibrated else {name}
+    conditioned = {f"{name}{options[1]}" for name in found - {*methods.NETWORKS, *UNTRAINED}}
+    assert found | conditioned == {*NAMES}

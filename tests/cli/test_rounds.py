@@ -100,7 +100,7 @@ def test_skip_done_leaves_a_finished_result_alone_and_begins_another_anew(
     capsys.readouterr()
     other = line.replace("mean", "persistence")
     call(other, tmp_path)
-    said = f"{tmp_path} has a finished comparison of record: left alone\n"
+    said = f"{tmp_path} has a finished comparison of record already: nothing is done\n"
     assert capsys.readouterr().out == said
     call(f"{other} --json", tmp_path)
     assert json.loads(capsys.readouterr().out) == facts
@@ -183,3 +183,17 @@ def test_a_second_is_enough_for_a_result(tmp_path: Path) -> None:
     found = results(tmp_path)
     assert sb.load(tmp_path / "model").name == found["recommended"]
     assert found["time"]["asked_seconds"] == 1
+
+
+def test_a_summary_has_a_column_for_each_number_of_samples_ahead(
+    tmp_path: Path, workspace: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for ahead in (5, 12):
+        line = f"compare {workspace}/record.csv --columns a --methods mean,persistence --jobs 1"
+        call(f"{line} --ahead {ahead}", Path(f"of{ahead}"))
+    call("summary of5 of12 --out all.csv")
+    table = pd.read_csv("all.csv")
+    for ahead in (5, 12):
+        assert table[f"fit % {ahead} ahead"].notna().tolist() == [ahead == 5, ahead == 12]
+    assert table["fit % 1 ahead"].notna().all()

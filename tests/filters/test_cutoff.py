@@ -174,7 +174,7 @@ def test_a_simulator_that_drifts_has_the_say_from_where_it_agrees() -> None:
     assert slower.simulator_helps
     assert faster.simulator_helps
     assert slower.cutoff < faster.cutoff < 2.0
-    assert "of the power that the high-pass filter passes" in slower.reason
+    assert "Hz the simulator misses" in slower.reason
 
 
 @pytest.mark.parametrize("seed", range(2))

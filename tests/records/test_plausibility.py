@@ -362,3 +362,14 @@ def test_a_period_that_cannot_be_is_refused(asked: Any, said: str) -> None:
         made.unwrap(asked)
     with pytest.raises(ValueError, match="unwrap must come once, in the order"):
         made.detrend().unwrap({"y": 360})
+
+
+def test_a_missing_hour_where_clocks_are_put_forward_is_said() -> None:
+    for day, said in (("2024-03-30", 1), ("2024-03-28", 0)):
+        stamps = pd.date_range(f"{day} 12:00", periods=1600, freq="min", tz="Europe/Berlin")
+        local = stamps.tz_localize(None)
+        if not said:
+            local = local[(local.hour != 2) | (local.day == 28)]
+        table = pd.DataFrame({"time": local, "y": np.sin(np.arange(len(local)) / 30)})
+        found = sb.read(table, gaps="mask").warnings()
+        assert len([each for each in found if "an hour is missing at" in each]) == said

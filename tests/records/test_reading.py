@@ -204,3 +204,12 @@ def test_text_round_trip_is_exact(
     np.testing.assert_array_equal(trajectory.y, values)
     if header:
         assert trajectory.columns == tuple(names)
+
+
+@pytest.mark.parametrize("unit", ["[N m]", "(m3 / h)", "[N]"])
+def test_a_column_is_found_without_its_unit(unit: str, tmp_path: Path) -> None:
+    path = tmp_path / "rig.csv"
+    rows = "".join(f"{n},{n % 3},{n}\n" for n in range(9))
+    path.write_text(f"time,force {unit},level [mm]\n{rows}")
+    record = read(path, inputs=["force"], columns=["level"])
+    assert (record.inputs, record.columns) == ((f"force {unit}",), ("level [mm]",))

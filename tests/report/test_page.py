@@ -84,8 +84,13 @@ def test_the_page_says_what_it_must_and_names_are_escaped(
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
     said, best = words_of(tree), everything.recommended
     assert titled(best, labels_of(everything)[best]) in said
+<<<<<<< HEAD
     words = "samples have missing values", "a note", "Not tested: ", "Error by frequency band"
     assert all(each in said for each in (*words, "test RMSE later", "splitband compare 'a <b>'"))
+=======
+    words = "samples have missing values", "a note", "Not tested: ", "Error over horizon"
+    assert all(each in said for each in (*words, "RMSE, later", "splitband compare 'a <b>'"))
+>>>>>>> b63c5376 (Tests of tables: every number stands at any width)
 
 
 def test_a_page_is_written_whole_or_not_at_all(
@@ -196,7 +201,9 @@ def test_a_nameless_record_is_called_so(tmp_path: Path) -> None:
     found = comparisons.compared(comparisons.record(name=""), ("mean", "persistence"))
     found.report(tmp_path / "page.html")
     captions = [words_of(each) for each in parsed(tmp_path / "page.html").iter("caption")]
-    assert any(each.startswith("a record: 200 samples") for each in captions)
+    assert any(
+        each.startswith("a record: every method was trained on 200 samples") for each in captions
+    )
     assert not any(each.startswith(":") for each in captions)
     assert rollouts(found).get_suptitle().startswith("a record; recommended: ")
 

@@ -167,7 +167,7 @@ class Inspection:
             return [*said, f"no high band: nothing to split, {above}"]
         if choice is not None and choice.expected > MOST_LOST:
             return [*said, f"no two bands: nothing to split, {choice.reason}"]
-        return [*said, f"two bands: {above}, as methods such as split-gru would split it"]
+        return [*said, f"two bands: {above}, so methods such as split-gru can split the signal"]
 
     def as_json(self) -> dict[str, Any]:
         """Return everything for results.json."""

@@ -50,7 +50,7 @@ def _plain(parameters: list[Any]) -> list[Any]:
 
 
 class LockedCommand(typer.core.TyperCommand):
-    """Run a command only if its --out replaces no input and is not in use."""
+    """A command that runs only if its --out replaces no input and is not in use."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, described plainly."""
@@ -83,7 +83,7 @@ class LockedCommand(typer.core.TyperCommand):
 
 
 class Commands(TyperGroup):
-    """List the commands without importing their modules: importing torch takes seconds."""
+    """The commands, listed without importing their modules: importing torch takes seconds."""
 
     listing = False
 

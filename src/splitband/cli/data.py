@@ -22,7 +22,8 @@ def data(
     A record is downloaded when it is first used, or read from the folder SPLITBAND_DATA_DIR.
     """
     said = "path" if download else "what"
-    table = Table("file", said, "licence", Column("size", justify="right"))
+    names = (Column(name, overflow="fold") for name in ("file", said, "licence"))
+    table = Table(*names, Column("size", justify="right"))
     found = {n: str(fetch(n)) if download else each.description for n, each in PUBLIC.items()}
     for name, each in PUBLIC.items():
         table.add_row(name, found[name], each.licence, f"{each.size / 1000:.0f} kB")

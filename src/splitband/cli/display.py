@@ -25,7 +25,7 @@ from splitband.runtime.system import available_cores
 
 
 class Display:
-    """Show where a comparison stands, and keep its best model so far in OUT, if there are `facts`.
+    """A display of a running comparison, which keeps its best model so far in OUT, given `facts`.
 
     In a terminal a line, each second with the time left, and the table below it change in place;
     elsewhere there is a line for each round. `facts` are the command and its options, for

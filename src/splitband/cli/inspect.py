@@ -18,6 +18,7 @@ from splitband.records.named import RECORDS
 from splitband.records.signals import listed
 from splitband.report import results
 from splitband.report.tables import of_oracle
+from splitband.report.words import sentence
 from splitband.simulators.open_simulator import open_simulator, simulated
 
 
@@ -85,7 +86,7 @@ def _show(found: Inspection, command: str) -> None:
     if found.simulator is not None:
         printing.table(of_oracle(found.simulator))
     for line in found.in_words():
-        printing.console.print(line)
+        printing.console.print(sentence(line))
     for warning in found.warnings:
         printing.warn(warning)
     printing.console.print(f"run:\n    {command}", soft_wrap=True)

@@ -309,7 +309,7 @@ SkipDone = Annotated[
 
 @dataclass(frozen=True)
 class FileOptions:
-    """Say how files of samples are read."""
+    """Options on how files of samples are read."""
 
     time_column: str | None = _record(
         "Column of time stamps, in seconds or as dates. For two columns: DATE,TIME.",
@@ -351,7 +351,7 @@ class FileOptions:
 
 @dataclass(frozen=True)
 class RecordOptions(FileOptions):
-    """Say how records are read, and what they hold."""
+    """Options on how records are read, and what they hold."""
 
     columns: str | None = _record(
         "Measured outputs: columns by name, or by position from 0 if they have no names.",
@@ -389,7 +389,7 @@ class RecordOptions(FileOptions):
 
 @dataclass(frozen=True)
 class FurtherRecords:
-    """Name other records of the same system, to train on."""
+    """Options that name other records of the same system, to train on."""
 
     more: list[str] | None = _record("Train on this record, too. May be repeated.", "FILE")
     more_simulator: list[str] | None = _simulator(
@@ -399,7 +399,7 @@ class FurtherRecords:
 
 @dataclass(frozen=True)
 class TestRecords:
-    """Name other records of the same system, to test on."""
+    """Options that name other records of the same system, to test on."""
 
     __test__ = False  # for pytest: not a test class
 
@@ -425,7 +425,7 @@ _OR_BASE = f"{_SIMULATOR} Or a fitted model in its place: linear, periodic or ha
 
 @dataclass(frozen=True)
 class SimulatorOptions:
-    """Name the simulator of the record, and say how it is run."""
+    """Options that name the simulator of the record, and say how it is run."""
 
     simulator: str | None = _simulator(_SIMULATOR, "FILE|NAME", "a named record's own")
     simulator_columns: str | None = _simulator(
@@ -480,14 +480,14 @@ class SimulatorOptions:
 
 @dataclass(frozen=True)
 class SimulatorOrBaseOptions(SimulatorOptions):
-    """Name a simulator, or a model that is fitted to the record in its place."""
+    """Options that name a simulator, or a model that is fitted in its place."""
 
     simulator: str | None = _simulator(_OR_BASE, "FILE|NAME", "a named record's own")
 
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """Hold the options of filters, networks and their training."""
+    """The options of filters, networks and their training."""
 
     cutoff: Cutoff = None
     order: Order = None

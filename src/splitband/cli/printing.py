@@ -35,7 +35,7 @@ _errors = Console(stderr=True, soft_wrap=True, markup=False, emoji=False, highli
 
 @dataclass
 class _Mode:
-    """Hold what a command prints, beside what the console's own switch says."""
+    """What a command prints, beside what the console's own switch says."""
 
     results: TextIO | None = None  # the stream for results as JSON, if these are asked for
     verbose: bool = False

@@ -26,7 +26,7 @@ from splitband.training import TrainingSettings
 
 @dataclass(frozen=True)
 class Request:
-    """Hold the options of `compare`, except those for its results, cores and cluster."""
+    """The options of `compare`, except those for its results, cores and cluster."""
 
     record: options.RecordArgument
     reading: options.RecordOptions = field(default_factory=options.RecordOptions)

@@ -28,7 +28,7 @@ def simulate(
     model_dir: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[MODEL_DIR]",
+            metavar="MODEL_DIR",
             help="Folder of a saved model; without it, give --record and --simulator.",
             show_default=False,
         ),

@@ -71,7 +71,11 @@ def corrected(context: typer.Context, given: Sequence[str]) -> list[str]:
     """
     params, words = context.command.params, [*given]
     options = {name: p for p in params if p.param_type_name == "option" for name in p.opts}
-    places = [f"--{p.name}".replace("_", "-") for p in params if p not in options.values()]
+    places = [
+        f"--{p.name}".replace("_", "-").removesuffix("s" if p.nargs < 0 else "")
+        for p in params
+        if p not in options.values()
+    ]
     for at, word in enumerate(words):
         name = word.partition("=")[0]
         if name in options or not word.startswith("--"):

@@ -30,7 +30,7 @@ from splitband.runtime.threads import seeded
 
 @dataclass(frozen=True)
 class Sizes:
-    """Hold the sizes of the networks that a name stands for.
+    """The sizes of the networks that a name stands for.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Unbuilt:
-    """Stand for a cell of the package by what it is called.
+    """A cell of the package, named and not built.
 
     Attributes
     ----------

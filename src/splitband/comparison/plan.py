@@ -52,7 +52,7 @@ WITHOUT_TERMS = "grey-box-without-terms"
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Hold all decisions of a comparison; `run` computes it.
+    """All decisions of a comparison; `run` computes it.
 
     Attributes
     ----------
@@ -377,7 +377,7 @@ def check(plan: Plan) -> None:
     A method that cannot be fitted does not stop the others: its row gives the reason, which is
     raised only if no method can be fitted.
     """
-    if not plan.methods:
+    if len(plan.methods) == len(plan.also):
         raise InputError("methods must be one or several, got none")
     twice = next((name for name in plan.names if plan.names.count(name) > 1), None)
     if twice:
@@ -387,12 +387,12 @@ def check(plan: Plan) -> None:
         )
     _check_records(plan)
     wrong: list[ValueError] = []
-    for forecaster in plan.methods:
+    for forecaster in (each for each in plan.methods if each.name not in plan.also):
         try:
             forecaster.check(plan.training, *plan.others)
         except ValueError as error:
             wrong.append(error)
-    if len(wrong) == len(plan.methods):
+    if len(wrong) == len(plan.methods) - len(plan.also):
         raise wrong[0]
 
 

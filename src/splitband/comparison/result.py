@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Errors:
-    """Hold the RMSE of predictions, in the record's unit."""
+    """The RMSE of predictions, in the record's unit."""
 
     total: float  # from the start
     forecast: float  # of the forecast; NaN where the training part is the whole record
@@ -46,10 +46,13 @@ class Errors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Hold the results of forecasters on a record, and which of them is recommended.
+    """The results of a comparison: the recommended model, a table, a report, plots.
 
     Attributes
     ----------
+    model : The recommended method, trained, ready to predict, to be saved and to be exported.
+    recommended : Its name.
+    table : A data frame with a row for each method.
     plan : Record, methods and settings of the comparison.
     fits : Final fits of each method, one for each seed; of an interrupted comparison perhaps those
         of networks that were trained on three quarters of the training part.
@@ -57,6 +60,17 @@ class Comparison:
     attempts : All trainings of the search, round by round.
     clock : Time that was used, and what the deadline has changed.
     refit : The recommended method refitted to the whole record, if `Plan.refit`.
+
+    Examples
+    --------
+    >>> record = sb.Record(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> result = sb.compare(record, 300, [sb.Mean(), sb.Harmonic()])
+    >>> result.recommended, result.model.predict(100).y.shape
+    ('harmonic', (100, 1))
+    >>> list(result.table.index)
+    ['harmonic', 'mean']
+    >>> result.report("rig.html")  # doctest: +SKIP
+    >>> result.model.export("rig.fmu")  # doctest: +SKIP
     """
 
     plan: Plan
@@ -65,6 +79,47 @@ class Comparison:
     attempts: tuple[Attempt, ...] = ()
     clock: Clock = field(default_factory=Clock)
     refit: Forecaster | None = None
+
+    @cached_property
+    def model(self) -> Forecaster:
+        """Return the recommended method as it was trained here, ready to predict and to be saved.
+
+        It is fitted to the training part, with `refit` to the whole record. A network predicts the
+        median over its trainings.
+        """
+        return self.refit or self.trained()
+
+    @property
+    def recommended(self) -> str:
+        """Return the name of the method to use, chosen on training samples alone."""
+        return self.require_trial().recommended
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """Return a row for each method, with the columns that `splitband compare` shows.
+
+        Errors are those of the median prediction over seeds, for each channel; columns that end in
+        "spread" hold the standard deviation of the seeds' errors.
+        """
+        return self._as_table().to_frame()
+
+    def report(self, path: str | Path) -> None:
+        """Write one self-contained HTML file with summary, table, zoomable plots and settings."""
+        from splitband.report.page.document import of_comparison  # noqa: PLC0415  of a higher layer
+
+        of_comparison(self, path)
+
+    def plot(self) -> Figure:
+        """Draw every method's predictions over the record, with intervals."""
+        from splitband.report.pictures import rollouts  # noqa: PLC0415  of a higher layer
+
+        return rollouts(self)
+
+    def save(self, folder: str | Path) -> None:
+        """Write all files of `splitband compare`: results, predictions, the page, the model."""
+        from splitband.report.results import save  # noqa: PLC0415  of a higher layer
+
+        save(self, Path(folder))
 
     @property
     def interrupted(self) -> bool:
@@ -95,20 +150,6 @@ class Comparison:
     def methods(self) -> dict[str, Forecaster]:
         """Return the methods by name, not fitted."""
         return {method.name: method for method in self.plan.methods}
-
-    @property
-    def recommended(self) -> str:
-        """Return the name of the method to use, chosen on training samples alone."""
-        return self.require_trial().recommended
-
-    @cached_property
-    def model(self) -> Forecaster:
-        """Return the recommended method as it was trained here, ready to predict and to be saved.
-
-        It is fitted to the training part, with `refit` to the whole record. A network predicts the
-        median over its trainings.
-        """
-        return self.refit or self.trained()
 
     def trained(self, name: str | None = None) -> Forecaster:
         """Return a method, by default the recommended one, fitted to the training part.
@@ -164,15 +205,6 @@ class Comparison:
             for name, fit in self.medians.items()
             if fit.forecast is not None
         }
-
-    @cached_property
-    def table(self) -> pd.DataFrame:
-        """Return a row for each method, with the columns that `splitband compare` shows.
-
-        Errors are those of the median prediction over seeds, for each channel; columns that end in
-        "spread" hold the standard deviation of the seeds' errors.
-        """
-        return self._as_table().to_frame()
 
     @cached_property
     def shown(self) -> dict[str, list[Column]]:
@@ -273,24 +305,6 @@ class Comparison:
         from splitband.report.tables import of_comparison  # noqa: PLC0415  of a higher layer
 
         return replace(of_comparison(self), title="")
-
-    def plot(self) -> Figure:
-        """Draw every method's predictions over the record, with intervals."""
-        from splitband.report.pictures import rollouts  # noqa: PLC0415  of a higher layer
-
-        return rollouts(self)
-
-    def save(self, folder: str | Path) -> None:
-        """Write all files of `splitband compare`: results, predictions, the page, the model."""
-        from splitband.report.results import save  # noqa: PLC0415  of a higher layer
-
-        save(self, Path(folder))
-
-    def report(self, path: str | Path) -> None:
-        """Write one self-contained HTML file with summary, table, zoomable plots and settings."""
-        from splitband.report.page.document import of_comparison  # noqa: PLC0415  of a higher layer
-
-        of_comparison(self, path)
 
 
 def median_fit(fits: Sequence[Fit]) -> Fit:

@@ -59,17 +59,18 @@ class RunningComparison:
 
     @property
     def trials(self) -> dict[str, Sequence[Fit]]:
-        """Return the fits to three quarters of the training part, by method.
-
-        There are none before one that may be recommended.
-        """
-        found = {name: state.trial for name, state in self.states.items() if state.trial}
-        return found if found.keys() - self.plan.also else {}
+        """Return the fits to three quarters of the training part, by method."""
+        return self._useful({name: s.trial for name, s in self.states.items() if s.trial})
 
     @property
     def finals(self) -> dict[str, list[Fit]]:
         """Return the final fits by method; see `MethodState`."""
-        return {name: [*state.final.values()] for name, state in self.states.items() if state.final}
+        found = {name: [*state.final.values()] for name, state in self.states.items()}
+        return self._useful({name: fits for name, fits in found.items() if fits})
+
+    def _useful(self, found: dict[str, Any]) -> dict[str, Any]:
+        """Return results by method; none without one of a method that may be recommended."""
+        return found if found.keys() - self.plan.also else {}
 
     @property
     def failed(self) -> dict[str, str]:
@@ -91,8 +92,8 @@ class RunningComparison:
     def trial(self) -> Trial:
         """Return the results on held-out samples so far."""
         if self._trial is None:
-            given = self.plan.training, self.trials, {}, self.failed, self.plan.also
-            self._trial = judged(*given)
+            plan = self.plan
+            self._trial = judged(plan.training, self.trials, {}, self.failed, plan.also)
         return self._trial
 
     @property
@@ -305,7 +306,7 @@ class RunningComparison:
         self._predict_by_trials()
         self.clock.notes += by_reason({name: state.note for name, state in self.states.items()})
         self._note_untrained()
-        if not self.finals.keys() - self.plan.also:
+        if not self.finals:
             reasons = [*by_reason(self.failed), *self.clock.notes]
             raise InputError(f"no method could be fitted; {'; '.join(reasons)}")
         for state in self.states.values():

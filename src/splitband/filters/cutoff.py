@@ -187,12 +187,12 @@ def choose_with_simulator(  # noqa: PLR0913
     best = other if other.loss < best.loss / 2 else best
     share = wrongness[best.cutoff, best.order]
     helps = share < WORTH_USING
-    rule = "as given" if cutoff is not None else "where the least error is expected"
+    rule = "as given" if cutoff is not None else "least expected error"
     side = "up to" if below else "from"
     reason = (
-        f"{rule}: the simulator is wrong by {100 * share:.0f} % of the power that the "
-        f"{simulator_band}-pass filter passes, a network conditioned on it by "
-        f"{100 * LEFT_BY_NETWORK:.0f} % of the rest"
+        f"{rule}: {'below' if below else 'above'} {best.cutoff:.3g} Hz the simulator misses "
+        f"{100 * share:.0f} % of the power, {'above' if below else 'below'} it a network is "
+        f"expected to miss {100 * LEFT_BY_NETWORK:.0f} %"
         if helps
         else f"no band of the simulator is worth using: {side} {best.cutoff:g} Hz it is wrong by "
         f"{100 * share:.0f} % of the power"

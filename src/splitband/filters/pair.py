@@ -62,7 +62,7 @@ def butterworth(
 class ComplementaryPair:
     """A low-pass and a high-pass filter with the identity as their sum.
 
-    The paper's Eq. 3, complementarity; both together run as its Eq. 6, joint recurrence.
+    See Ensinger et al. 2023, Eq. 3, complementarity, and Eq. 6, joint recurrence, for both.
 
     Use `ComplementaryPair.butterworth` or `ComplementaryPair.perfect`.
 
@@ -146,7 +146,7 @@ class ComplementaryPair:
         start: Start | None = None,
         cutoff: float | None = None,
     ) -> ComplementaryPair:
-        """Complete any stable filter with coefficients `b`, `a` to L + H = 1 (paper, Sec. 3.3).
+        """Complete a stable filter `b`, `a` to L + H = 1 (Ensinger et al. 2023, Sec. 3.3).
 
         `band` is the band of the filter `b`; the numerator of the other is a - b. L + H = 1 holds
         one way; in both directions the sum is L^2 + H^2 instead.
@@ -183,7 +183,7 @@ class ComplementaryPair:
     def combine(
         self, *, low: Signal, high: Signal, first: Signal | None = None, dim: int | None = None
     ) -> Signal:
-        """Return L(low) + H(high), shaped like its arguments (paper, Eq. 6, joint recurrence).
+        """Return L(low) + H(high), shaped like them (Ensinger et al. 2023, Eq. 6).
 
         One way, `first` may give the first P outputs of the sum. The recurrence is linear: the low
         band is filtered separately, and the high band starts from `first` minus the low band. A

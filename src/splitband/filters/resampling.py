@@ -1,4 +1,4 @@
-"""Down-sample and up-sample signals by a factor k (paper, Sec. 4.2).
+"""Down-sample and up-sample signals by a factor k (Ensinger et al. 2023, Sec. 4.2).
 
 Signals are tensors `(batch, time, ny)`.
 """
@@ -28,7 +28,7 @@ def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -
 
 
 def downsample(y: Tensor, k: int, offset: int) -> Tensor:
-    """Return every k-th sample from `offset` on (paper, Eq. 9, down-sampling)."""
+    """Return every k-th sample from `offset` on (Ensinger et al. 2023, Eq. 9, down-sampling)."""
     return y[:, offset::k]
 
 

@@ -94,7 +94,7 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class Oracle:
-    """The least RMSE of a hybrid at a cut-off (paper, Sec. 4.4).
+    """The least RMSE of a hybrid at a cut-off (Ensinger et al. 2023, Sec. 4.4).
 
     cutoff : In Hz.
     perfect_network : RMSE of H(y) + L(y_sim), the hybrid with a perfect network.

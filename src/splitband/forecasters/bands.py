@@ -14,7 +14,7 @@ from splitband.runtime.options import WithRepr
 
 @dataclass(frozen=True, repr=False)
 class Bands(WithRepr):
-    """Hold the parameters of a filter pair; those that are None are chosen on training samples.
+    """The parameters of a filter pair; those that are None are chosen on training samples.
 
     Attributes
     ----------

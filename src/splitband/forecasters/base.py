@@ -52,7 +52,7 @@ AnyForecaster = TypeVar("AnyForecaster", bound="Forecaster")
 
 
 class Training(TypedDict):
-    """Hold the options that `fit` passes to `learn`.
+    """The options that `fit` passes to `learn`.
 
     `bases`: fitted forecasters, of which a part may be one that need not be fitted again;
     `workers`: number of processes, or an executor, that fit a simulator's parameters.
@@ -73,7 +73,7 @@ def titled(name: str, words: str) -> str:
 
 
 class Forecaster(WithRepr, ABC):
-    """Predict what follows a record: a network, a simulator, a baseline, a median of several.
+    """A model that predicts what follows a record: a network, a simulator, a baseline, a median.
 
     A forecaster of your own defines its `name`, its training (`learn`) and its forecast
     (`extrapolate`). What `extrapolate` receives (`ForecastContext`: history, inputs, simulator's

@@ -35,7 +35,7 @@ class ByTime(Protocol):
 
 @final
 class Mean(Forecaster):
-    """Forecast the mean of the training samples, the best forecast of unpredictable signals."""
+    """The mean of the training samples, the best forecast of unpredictable signals."""
 
     affine = forgets = True
     name = "mean"
@@ -63,7 +63,7 @@ class Mean(Forecaster):
 
 @final
 class Persistence(Forecaster):
-    """Hold the last measured sample, as if nothing changed."""
+    """The last measured sample, as if nothing changed."""
 
     affine = forgets = True
     name = "persistence"
@@ -139,7 +139,7 @@ class _ByTime(Forecaster):
 
 @final
 class SeasonalNaive(_ByTime):
-    """Repeat the last period, on a trend where there is one."""
+    """The last period, repeated, on a trend where there is one."""
 
     name = "seasonal-naive"
     baseline: LastPeriod
@@ -156,7 +156,7 @@ class SeasonalNaive(_ByTime):
 
 @final
 class Harmonic(_ByTime):
-    """Fit sinusoids that may decay, and a trend (`baselines.sinusoids`)."""
+    """Sinusoids that may decay, and a trend (`baselines.sinusoids`)."""
 
     name = "harmonic"
 
@@ -167,7 +167,7 @@ class Harmonic(_ByTime):
 
 @final
 class Periodic(_ByTime):
-    """Fit a Fourier series with the period of the record, and a trend (`baselines.seasonal`)."""
+    """A Fourier series with the period of the record, and a trend (`baselines.seasonal`)."""
 
     name = "periodic"
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @final
 class Ensemble(Forecaster):
-    """Forecast by the median of several forecasters, each fitted with a different seed.
+    """The median of several forecasters, each fitted with a different seed.
 
     At each sample it is the prediction in the middle, or the mean of the two in the middle.
 

@@ -38,7 +38,7 @@ By eye."""
 
 @final
 class GreyBox(Forecaster):
-    """Fit the parameters of a simulator to the training samples, and run it.
+    """A simulator whose parameters are fitted to the training samples.
 
     Parameters
     ----------

@@ -26,13 +26,18 @@ if TYPE_CHECKING:
 
 @final
 class Single(Network):
-    """Train one network on the whole signal (paper, Sec. 4.1).
+    """One network for the whole signal (Ensinger et al. 2023, Sec. 4.1).
 
     Parameters
     ----------
     cell : Such as `GRU(64)`: only hidden sizes are used, the others are those of the record.
     settings : Of the training; by default the default recipe for the length of the record.
     name : By default derived from the cell.
+
+    Raises
+    ------
+    ValueError
+        For something else than a cell.
 
     Examples
     --------
@@ -62,7 +67,7 @@ class Single(Network):
 
 @final
 class Split(Network):
-    """Train a network for each band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
+    """A network for each band (Ensinger et al. 2023, Sec. 4.2: "split GRU", "split GRU + HP").
 
     Parameters
     ----------
@@ -72,7 +77,7 @@ class Split(Network):
     conditioned : Use the slow network's prediction, value and slope, as an input of the fast one.
         Not in the paper.
     own_warmup : Filter the warm-up of each training window alone, as that of a simulation is.
-        Otherwise windows are cut from the filtered training record (paper, Eq. 10, training).
+        Otherwise windows are cut from the filtered training record, as in Eq. 10, training.
     alignment : Of the up-sampled low band: `"time"`, or `"paper"`, which shifts it by (k - 1) / 2
         samples.
     settings, name : See `Single`.
@@ -151,14 +156,14 @@ def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:
 
 @final
 class Filtered(Network):
-    """Combine a base in one band with a network in the other (paper, Sec. 4.3).
+    """A hybrid: a base in one band, a network in the other (Ensinger et al. 2023, Sec. 4.3).
 
     Parameters
     ----------
     base : The model of its band: a simulator (with parameters to fit, it becomes a `GreyBox`), or a
         forecaster with a `trajectory`, such as `Calibrated()` or `Linear()`, which is fitted first;
         None for the simulator's output in the record.
-    cell : The network's, such as `GRU(64)`.
+    cell : That of the network, such as `GRU(64)`.
     bands : Cut-off and order, and the down-sampling of a network in the low band; by default chosen
         by where base and training samples agree.
     conditioned : Use the base's output, value and slope, as an input of the network; with
@@ -167,6 +172,11 @@ class Filtered(Network):
     simulator_band : The band of the base: `"low"`, as in the paper, or `"high"` for one that is
         right in its details and drifts, such as an integrated rate. The network then simulates the
         low band, down-sampled.
+
+    Raises
+    ------
+    ValueError
+        For a base without a `trajectory`, something else than a cell, and another band.
 
     Examples
     --------
@@ -271,11 +281,23 @@ class Filtered(Network):
 
 @final
 class Residual(Network):
-    """Combine a base with a network that learns its error (paper, Sec. 5.1).
+    """A hybrid: a base, plus a network that learns its error (Ensinger et al. 2023, Sec. 5.1).
 
     Parameters
     ----------
-    base, cell, conditioned, settings, name : See `Filtered`.
+    base : A simulator (with parameters to fit, it becomes a `GreyBox`), or a forecaster with a
+        `trajectory`, such as `Calibrated()` or `Linear()`, which is fitted first; None for the
+        simulator's output in the record.
+    cell : That of the network, such as `GRU(64)`: only hidden sizes are used.
+    conditioned : Use the base's output, value and slope, as an input of the network. Not in the
+        paper.
+    settings : Of the training; by default the default recipe for the length of the record.
+    name : By default derived from base and cell.
+
+    Raises
+    ------
+    ValueError
+        For a base without a `trajectory`, and something else than a cell.
 
     Examples
     --------

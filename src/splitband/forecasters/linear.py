@@ -33,7 +33,7 @@ SMALLEST_COEFFICIENT = 1e-9
 
 @final
 class Linear(Forecaster):
-    """Fit a linear state-space model with a Kalman filter (`linear.identification`).
+    """A linear state-space model with a Kalman filter (`linear.identification`).
 
     x' = A x + B u + K e, y = C x + D u + offset + e. Poles and delays come from a subspace method,
     refined to the least simulation error, or to the least prediction error where a controller acts

@@ -67,7 +67,7 @@ CONDITIONED = "-conditioned"
 
 
 class Network(Forecaster):
-    """Train a forecaster by gradients.
+    """A forecaster that is trained by gradients.
 
     A subclass defines its options, its model (`build`) and its name (`_derived_name`). Attributes
     that it does not set keep these defaults: no base, no bands, not conditioned.

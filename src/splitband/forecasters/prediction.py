@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ForecastContext:
-    """Hold the data that a forecaster may use for a forecast.
+    """The data that a forecaster may use for a forecast.
 
     Attributes
     ----------
@@ -180,7 +180,7 @@ def median(values: Sequence[Array]) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
-    """Hold the samples that follow an origin.
+    """A prediction: the samples that follow an origin.
 
     Attributes
     ----------

@@ -127,7 +127,7 @@ def description_of(part: Any) -> Absent | None:
 
 
 class SimulatorForecaster(Forecaster):
-    """Forecast with a simulator's output.
+    """A forecaster that predicts a simulator's output.
 
     `simulator`: what to run; by default the record contains its output (`y_sim`).
     """
@@ -343,7 +343,7 @@ class SimulatorForecaster(Forecaster):
 
 @final
 class Simulation(SimulatorForecaster):
-    """Forecast with a simulator's output, unchanged.
+    """A simulator as a forecaster: its output, unchanged.
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ class Simulation(SimulatorForecaster):
 
 @final
 class Calibrated(SimulatorForecaster):
-    """Forecast with a simulator that is calibrated to the training samples. Not in the paper.
+    """A simulator that is calibrated to the training samples. Not in the paper.
 
     Gain, offset, delay and clock are fitted to the first training record.
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @final
 class Stream:
-    """Observe measured samples, and predict samples that are not measured.
+    """A running model: it observes measured samples, and predicts those that are not measured.
 
     `Forecaster.stream` returns one. A forecast equals that of `Forecaster.predict` after the
     samples observed so far, with two exceptions. The state of an equation (`GreyBox`) is estimated

@@ -1,4 +1,4 @@
-"""Define the interface of recurrent cells (paper, Eq. 7, recurrent model).
+"""Define the interface of recurrent cells (Ensinger et al. 2023, Eq. 7, recurrent model).
 
 Any `nn.Module` with the methods of `Cell` and `Template` works wherever a `GRU` does. State is
 passed and returned, never kept on the module. The cells of this package have further, optional

@@ -1,4 +1,4 @@
-"""Define the gated recurrent unit (paper, supplement, "GRU training")."""
+"""Define the gated recurrent unit (Ensinger et al. 2023, supplement, "GRU training")."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from splitband.runtime.options import WithRepr
 
 
 class GRU(WithRepr, nn.Module):
-    """A gated recurrent unit with a linear observation (paper, supplement).
+    """A gated recurrent unit with a linear observation (Ensinger et al. 2023, supplement).
 
     Parameters and their initialisation are those of `torch.nn.GRUCell` and `torch.nn.Linear`.
 
@@ -19,6 +19,18 @@ class GRU(WithRepr, nn.Module):
     hidden_size : Size of the state h.
     ny : Number of measured channels.
     nu : Number of known inputs, concatenated with y in every step.
+
+    Raises
+    ------
+    ValueError
+        For sizes that are no whole numbers from 1 (`nu`: from 0).
+
+    Examples
+    --------
+    >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> settings = sb.TrainingSettings(window=40, warmup=10, epochs=1)
+    >>> sb.Single(sb.GRU(8), settings).fit(record, seed=0).predict(20).y.shape
+    (20, 1)
     """
 
     label = "gru"

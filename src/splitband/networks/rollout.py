@@ -15,7 +15,7 @@ Backend = Literal["auto", "plain", "fused"]
 def rollout(
     cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None = None, backend: Backend = "auto"
 ) -> Tensor:
-    """Warm up on measured samples, then simulate freely (paper, Eq. 8, rollout).
+    """Warm up on measured samples, then simulate freely (Ensinger et al. 2023, Eq. 8, rollout).
 
     The warm-up feeds y_0..y_{R-1} and leaves h_R; the first prediction is C h_R, and predictions
     are fed back in place of measurements.

@@ -62,6 +62,18 @@ class StateSpace(WithRepr, nn.Module):
     nu : Known inputs in a row.
     layers : Hidden layers of f and of g. The compiled kernel has one.
     encoded : Warm-up samples in the estimate of the first state; 0 for a trained constant.
+
+    Raises
+    ------
+    ValueError
+        For sizes that are no whole numbers, or too small.
+
+    Examples
+    --------
+    >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
+    >>> settings = sb.TrainingSettings(window=40, warmup=10, epochs=1)
+    >>> sb.Single(sb.StateSpace(2, 4), settings).fit(record, seed=0).predict(20).y.shape
+    (20, 1)
     """
 
     label, words = "state-space", "state-space network"

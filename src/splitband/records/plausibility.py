@@ -58,10 +58,10 @@ def _summer_time(record: Record) -> list[str]:
         if abs((last + 1 - first) * step - HOUR) < 0.5 * step
     ]
     return [
-        f"an hour is missing at {at}, as where summer time begins: if it does, name the zone of "
-        "the stamps, in pandas tz_localize('Europe/Berlin'), and no sample is missing"
+        f"an hour is missing at {at}, as where summer time begins: if it does there, no sample is "
+        "missing once the stamps have a zone, in pandas tz_localize('Europe/Berlin')"
         for at in hours
-        if at.dayofweek == SUNDAY and at.hour in (1, 2)
+        if at.day_of_week == SUNDAY and at.hour in (1, 2)
     ]
 
 

@@ -58,7 +58,7 @@ from splitband.runtime.errors import InputError
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Record:
-    """Represent one evenly sampled record.
+    """A record: measured outputs and inputs on one time grid.
 
     Every signal is array-like of shape (time,) or (time, channels); it is kept as a read-only,
     C-contiguous float64 array of shape (time, channels): a copy, unless it is one that nobody can

@@ -233,5 +233,7 @@ def _cell(columns: Sequence[Column], name: str, line: str) -> Text:
 def _behind(mark: str, text: Text) -> rich.table.Table:
     """Return a text that is folded behind a mark."""
     grid = rich.table.Table.grid(padding=(0, 1, 0, 0))
+    grid.add_column(no_wrap=True)
+    grid.add_column(overflow="fold")
     grid.add_row(mark, text)
     return grid

@@ -1,8 +1,8 @@
 """Define black-box simulators: functions of a time grid that return a simulated signal.
 
-A simulator needs neither gradients nor an accessible state (paper, Sec. 4.3). `run` calls a
-simulator and checks its output; `Recorded` is a simulator's exported output, and `Absent` the
-description of a saved model's simulator until the user passes the simulator again.
+A simulator needs neither gradients nor an accessible state (Ensinger et al. 2023, Sec. 4.3). `run`
+calls a simulator and checks its output; `Recorded` is a simulator's exported output, and `Absent`
+the description of a saved model's simulator until the user passes the simulator again.
 """
 
 from __future__ import annotations

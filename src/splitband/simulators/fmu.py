@@ -75,6 +75,20 @@ class Fmu(Adjustable):
         step declared by the FMU, or the next shorter divisor, or the sampling time. A warning is
         given if half the step changes the outputs by more than one per cent of their range, over
         the first 1,000 samples.
+
+    Raises
+    ------
+    FileNotFoundError
+        For a missing file.
+    ValueError
+        For a file that is no FMU, and names or values of variables that it cannot take.
+
+    Examples
+    --------
+    >>> plant = sb.Fmu("tank.fmu", outputs=["level"], inputs=["valve"])  # doctest: +SKIP
+    >>> model = sb.Residual(plant, sb.GRU(32)).fit(record)  # doctest: +SKIP
+    >>> fitted = sb.Fmu("tank.fmu", parameters={"area": (0.1, 2.0)})  # doctest: +SKIP
+    >>> sb.GreyBox(fitted).fit(record).describe()  # doctest: +SKIP
     """
 
     difference = SHORT

@@ -22,7 +22,7 @@ def fit(
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
 ) -> History:
-    """Train a model in place (paper, Eq. 10, training, and Eq. 12, hybrid loss).
+    """Train a model in place (Ensinger et al. 2023, Eq. 10, training, and Eq. 12, hybrid loss).
 
     A window lies within one record, its warm-up has no gap, and its loss counts measured samples
     only. An epoch with a diverging (see `DIVERGED`) or non-finite loss is repeated from its start

@@ -132,7 +132,7 @@ class TrainingSettings(WithRepr):
     ) -> TrainingSettings:
         """Return the settings of the paper for its system (i), some of them changed.
 
-        Adam at a constant rate, in batches of 50 windows (paper, Sec. 5).
+        Adam at a constant rate, in batches of 50 windows (Ensinger et al. 2023, Sec. 5).
         """
         plain = {"one_cycle": False, "clip": None, "growth": 0.0, "max_batches": None}
         return cls(window, warmup, epochs, batch_size, learning_rate, **{**plain, **changes})
