@@ -16,7 +16,6 @@ from splitband.checks.inspection import Inspection
 from splitband.checks.model import ModelCheck
 from splitband.checks.residuals import CONFIDENCE, ResidualTests
 from splitband.checks.responses import Responses, respond_over_range
-from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
 from splitband.forecasters.base import Forecaster, all_parts, titled
 from splitband.forecasters.grey_box import GreyBox
@@ -102,7 +101,7 @@ def _methods(result: Comparison, listed: Table, drawn: Iterable[str]) -> Section
     plan, best = result.plan, result.recommended
     kinds = "N ahead", "test", "forecast"
     fits = [c for kind in kinds for c in columns(result, f"{kind} fit %")]
-    named = [name for name in listed.rows if name in drawn or name in listed.minor]
+    named = [name for name in result.fits if name in drawn or name in listed.minor]
     near = _near(result, named) if plan.ahead is None else columns(result, *_AHEAD)
     errors = columns(result, "test RMSE", "forecast RMSE", *[] if fits else ["held-out RMSE"])
     shown = [*fits, *near, *errors, *columns(result, "in interval")]
@@ -120,15 +119,17 @@ def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
     """Return the fits of these methods a few samples ahead of origins on unseen samples."""
     record, first = result.record, result.plan.train
     if result.tests:
-        record = result.tests[0]
-        first = len(record) - max((len(fit.tests[0]) for fit in _tested(result)), default=0)
+        record, names = result.tests[0], [name for name in names if result.medians[name].tests]
+        lengths = (len(result.medians[name].tests[0]) for name in names)
+        first = len(record) - max(lengths, default=0)
     end = min(len(record), first + NEAR_SAMPLES)
     origins = many_origins(first, first, end, NEAR[-1])[::2]
     fits = dict[str, list[Array]]()
     for name in names if origins else ():
-        trained, other = result.trained(name), bool(result.tests)
+        trained = result.trained(name)
+        other = bool(result.tests) and not trained.anchored
         try:
-            made = forecasts(trained, record, origins, other and not trained.anchored)
+            made = forecasts(trained, record, origins, other)
         except ValueError:  # for want of a simulator, as in the table
             continue
         fits[name] = [fit_ahead(record, made, ahead) for ahead in NEAR]
@@ -146,10 +147,6 @@ def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
         for k, ahead in enumerate(NEAR)
         for i, column in enumerate(record.columns if fits else ())
     ]
-
-
-def _tested(result: Comparison) -> list[Fit]:
-    return [fit for fit in result.medians.values() if fit.tests]
 
 
 def _residuals(tests: Sequence[ResidualTests]) -> list[Section]:
@@ -279,7 +276,7 @@ def of_checks(checks: Mapping[str, ModelCheck], used: Usage) -> Page:
     """Return the page of checks of several models, by their folders, on one record."""
     record = next(iter(checks.values())).record
     drawn = looks({name: titled(name, check.title) for name, check in checks.items()})
-    simulated = {name: _placed(check.simulation.y, record) for name, check in checks.items()}
+    simulated = {name: _placed(checks[name].simulation.y, record) for name in drawn}
     run = Run(record, "simulation", simulated)
     title = f"{len(checks)} models on {record.name or 'a record'}"
     plots, listed = over_time.over_time(run, drawn), [tables.of_checks(checks)]
