@@ -244,7 +244,6 @@ def test_a_notebook_shows_every_number(seeds: Comparison) -> None:
     assert all(" ".join(entry.split()) in shown for entry in entries)
 
 
-
 def test_rows_of_different_channels_have_the_lines_that_they_have() -> None:
     """As results of different records do."""
     listed = [
