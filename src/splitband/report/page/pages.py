@@ -49,8 +49,8 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     record, train, best = result.record, result.plan.train, result.recommended
     listed = tables.of_comparison(result)
     labels = {name: listed.label(name) for name in ordered(result.trial, result.fits)}
-    simulators = [n for n, m in result.methods.items() if "simulator" in m.needs and not m.random]
-    drawn = looks(labels, listed.minor, simulators)
+    needed = [n for n, m in result.methods.items() if "simulator" in m.needs and not m.random]
+    drawn = looks(labels, listed.minor, [*needed, *result.plan.also])
     runs = over_time.runs_of(result, drawn)
     names = ["time", *[""] * len(runs)]
     plots = [p for r, n in zip(runs, names, strict=False) for p in over_time.over_time(r, drawn, n)]
@@ -99,10 +99,9 @@ def _by_band(run: Run, drawn: Mapping[str, Look], cutoff: float | None) -> list[
 def _methods(result: Comparison, listed: Table, drawn: Iterable[str]) -> Section:
     """Return the section of the table of methods."""
     plan, best = result.plan, result.recommended
-    kinds = "N ahead", "test", "forecast"
-    fits = [c for kind in kinds for c in columns(result, f"{kind} fit %")]
+    fits = columns(result, *_AHEAD, "test fit %", "forecast fit %")
     named = [name for name in result.fits if name in drawn or name in listed.minor]
-    near = _near(result, named) if plan.ahead is None else columns(result, *_AHEAD)
+    near = _near(result, named) if plan.ahead is None else []
     errors = columns(result, "test RMSE", "forecast RMSE", *[] if fits else ["held-out RMSE"])
     shown = [*fits, *near, *errors, *columns(result, "in interval")]
     text = words.why(result.require_trial(), plan.train, listed.labels, plan.ahead)
@@ -112,7 +111,7 @@ def _methods(result: Comparison, listed: Table, drawn: Iterable[str]) -> Section
     return Section("methods", "All methods", [" ".join(text)], tables=[table])
 
 
-_AHEAD = "1 ahead fit %", "N/10 ahead fit %"
+_AHEAD = "1 ahead fit %", "N/10 ahead fit %", "N ahead fit %"
 
 
 def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
