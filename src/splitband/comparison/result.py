@@ -287,7 +287,7 @@ class Comparison:
         save(self, Path(folder))
 
     def report(self, path: str | Path) -> None:
-        """Write one self-contained HTML file: the answer, zoomable plots, the table of methods."""
+        """Write one self-contained HTML file with summary, table, zoomable plots and settings."""
         from splitband.report.page.document import of_comparison  # noqa: PLC0415  of a higher layer
 
         of_comparison(self, path)
