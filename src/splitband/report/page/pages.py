@@ -104,9 +104,9 @@ def _methods(result: Comparison, listed: Table, drawn: Iterable[str]) -> Section
     near = _near(result, named) if plan.ahead is None else []
     errors = columns(result, "test RMSE", "forecast RMSE", *[] if fits else ["held-out RMSE"])
     shown = [*fits, *near, *errors, *columns(result, "in interval")]
-    text = words.why(result.require_trial(), plan.train, listed.labels, plan.ahead)
-    if chosen := result.fits[best][0].description:
-        text.append(words.sentence(f"Recommended: {chosen}"))
+    chosen = filter(None, [titled(best, listed.label(best)), result.fits[best][0].description])
+    text = [words.sentence(f"Recommended: {', '.join(chosen)}")]
+    text += words.why(result.require_trial(), plan.train, listed.labels, plan.ahead)
     table = replace(listed, columns=shown, details={})
     return Section("methods", "All methods", [" ".join(text)], tables=[table])
 
@@ -151,7 +151,7 @@ def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
 def _residuals(tests: Sequence[ResidualTests]) -> list[Section]:
     """Return the section of the residual tests."""
     text = [
-        " ".join(test.finding() for test in tests),
+        " ".join(map(words.unexplained, tests)),
         "Shown as they are tested: residuals and inputs are prewhitened, by the autoregressive "
         "model of the residuals, but for the residuals' own past. Lags reach to twice the slowest "
         f"period. Shaded: {100 * CONFIDENCE:.0f} % of the values by chance. Values outside at "
