@@ -39,7 +39,7 @@ from splitband.runtime.files import sha256_of
 MAX_BODE = 4
 """Largest number of pairs of input and output with gain and phase, too. Layout."""
 NEAR = 1, 10
-"""Samples ahead for which fits are shown."""
+"""Samples ahead for which fits are shown. Layout."""
 NEAR_SAMPLES = 2_000
 """First samples after the training part in which these forecasts lie. Bounds the time."""
 
