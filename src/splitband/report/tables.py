@@ -1,4 +1,4 @@
-"""Make the tables of comparisons, trials, searches, step responses and poles."""
+"""Make the tables of comparisons, trials, step responses and poles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from splitband.checks.simulator import SimulatorCheck
 from splitband.comparison.methods import NAMES
 from splitband.comparison.recommendation import COVERAGE, RULE, Trial
 from splitband.comparison.result import Comparison
-from splitband.comparison.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
 from splitband.forecasters.held_out import fit_ahead, horizons
 from splitband.forecasters.linear import Linear
@@ -100,24 +99,6 @@ def _ranked(table: Table, trial: Trial | None) -> Table:
     others = trial.trained | trial.failed.keys() | {best}
     simple = [name for name in table.rows if name not in others]
     return replace(table, recommended=best, minor=frozenset(simple[1:]))
-
-
-def of_attempts(attempts: Sequence[Attempt]) -> Table:
-    """Return the table of the search for training settings."""
-    names = [f"{i}. {a.method}, seed {a.seed}" for i, a in enumerate(attempts, 1)]
-    of = dict(zip(names, attempts, strict=True))
-    scores = {name: a.score for name, a in of.items() if a.score is not None}
-    listed = [
-        Column("round", "count", {n: float(a.round) for n, a in of.items()}, ranked=False),
-        Column("score", "deviation", scores, note=RULE),
-    ]
-    title = (
-        "Trainings of the search, in order; the score is that of a single training, and in the "
-        "table of methods that of a median"
-    )
-    details = {name: attempt.training for name, attempt in of.items()}
-    rows = dict.fromkeys(names, "")
-    return Table(title, listed, rows, "training", listed[1].best, details=details)
 
 
 def columns(comparison: Comparison, *headings: str) -> list[Column]:

@@ -183,11 +183,11 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
 def answer(comparison: Comparison) -> list[str]:
     """Return sentences on the fit of the recommended method, and on what it does not explain."""
     fits = "; ".join(f"{of}: {facts[0]}" for of, facts in headline(comparison))
-    left = [_left(test) for test in comparison.residual_tests]
+    left = [unexplained(test) for test in comparison.residual_tests]
     return [" ".join([sentence(fits), *left]), *gravest(comparison), *afterwards(comparison)]
 
 
-def _left(test: ResidualTests) -> str:
+def unexplained(test: ResidualTests) -> str:
     """Return a sentence on what a method leaves of an output, with its size."""
     size = f"{percent(test.size or 0.0)} of the standard deviation"
     if test.dependent:

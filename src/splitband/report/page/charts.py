@@ -265,7 +265,7 @@ class Chart:
         names = [self._kept(edge) for edge in edges]
         self._add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.25), key)
 
-    def shade(self, key: Key, **edges: float) -> None:
+    def shade(self, key: Key, **edges: Any) -> None:
         """Shade a part of the chart: from `left` to `right`, or from `bottom` to `top`."""
         self.keys.append(key)
         box = BoxAnnotation(fill_alpha=0.25, level="underlay", tags=[key.color], **edges)

@@ -57,8 +57,7 @@ def responses(model: Forecaster, every: Sequence[Responses], bode: bool) -> list
     plots = []
     for (i, u), (j, y) in product(enumerate(first.inputs), enumerate(first.columns)):
         of, pair = [gain[:, j, i] for gain in gains], f"{u} to {y}"
-        ends = ", ".join(dict.fromkeys(_in_words(r.gains[j, i]) for r in every)) if stable else ""
-        caption = f"Step, {pair}: {ends}" if ends else f"Step, {pair}"
+        caption = f"Step, {pair}" + (f": {_in_words(first.gains[j, i])}" if stable else "")
         plots.append(_curves(time, "change", caption, keys, [r.y[:, j, i] for r in every]))
         if bode:
             sizes = [_decibels(np.abs(gain)) for gain in of]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from splitband.comparison.result import Comparison
-from splitband.forecasters.held_out import first_held_out
+from splitband.forecasters.held_out import Origin, first_held_out
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import DIVERGED
 from splitband.records import Record
@@ -52,24 +52,25 @@ class Run:
     parts: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
 
-def runs_of(found: Comparison, names: Iterable[str]) -> list[Run]:
+def runs_of(found: Comparison, names: Collection[str]) -> list[Run]:
     """Return the predictions that judge methods: of test records, then of the record itself.
 
     These are simulations or, with `Plan.ahead`, forecasts from many origins that do not overlap.
     Before the end of the training part, the record is simulated from its start.
     """
     by_record: dict[Record, dict[str, Pieces]] = {each: {} for each in (*found.tests, found.record)}
+    ahead = found.plan.ahead if any(found.judging(name) for name in names) else None
     for name in names:
-        for record, pieces in _pieces(found, name):
+        for record, pieces in _pieces(found, name, ahead):
             by_record[record][name] = pieces
-    return [_run(found, record, of) for record, of in by_record.items() if of]
+    return [_run(found, record, of, ahead) for record, of in by_record.items() if of]
 
 
-def _pieces(found: Comparison, name: str) -> list[tuple[Record, Pieces]]:
+def _pieces(found: Comparison, name: str, ahead: int | None) -> list[tuple[Record, Pieces]]:
     """Return the predictions of a method, by record."""
     fit = found.medians[name]
-    if found.plan.ahead is not None:
-        return [(record, _apart(made.items())) for record, made in found.judging(name)]
+    if ahead is not None:
+        return [(record, _apart(made)) for record, made in found.judging(name)]
     tests = zip(found.tests, fit.tests, strict=False)
     of_tests = [(test, [(len(test) - len(said), said)]) for test, said in tests]
     own = [(next(iter(fit.forecasts)).at, fit.from_start)]
@@ -77,33 +78,32 @@ def _pieces(found: Comparison, name: str) -> list[tuple[Record, Pieces]]:
     return [*of_tests, (found.record, own)]
 
 
-def _apart(made: Iterable[tuple[object, Prediction]]) -> Pieces:
+def _apart(made: Mapping[Origin, Prediction]) -> Pieces:
     """Return forecasts that do not overlap, the first ones in time."""
     kept, end = Pieces(), 0
-    for at, said in sorted(((origin.at, said) for origin, said in made), key=lambda pair: pair[0]):
-        if at >= end:
-            kept.append((at, said))
-            end = at + len(said)
+    for origin in sorted(made):
+        if origin.at >= end:
+            kept.append((origin.at, made[origin]))
+            end = origin.at + len(made[origin])
     return kept
 
 
-def _run(found: Comparison, record: Record, of: Mapping[str, Pieces]) -> Run:
+def _run(found: Comparison, record: Record, of: Mapping[str, Pieces], ahead: int | None) -> Run:
     """Return the predictions of a record."""
-    plan, own = found.plan, record is found.record
-    ahead, curves = plan.ahead is not None, {}
+    plan, own, curves = found.plan, record is found.record, {}
     half = np.full(record.y.shape, np.nan)
     interval = found.require_trial().intervals.get(found.recommended)
     for name, pieces in of.items():
         curves[name] = np.full(record.y.shape, np.nan)
         for at, said in pieces:
             curves[name][at : at + len(said)] = said.y
-            bounded = interval is not None and (ahead or (own and at == plan.train))
-            if interval is not None and bounded and name == found.recommended:
+            bounded = name == found.recommended and (ahead or (own and at == plan.train))
+            if bounded and interval is not None:
                 half[at : at + len(said)] = interval.half_widths(len(said))
     held, end = first_held_out(plan.train), len(record)
     ends = [held, plan.train, end] if own else [0, 0, end]
     parts = dict(zip(PARTS, zip([0, *ends], [e - 1 for e in ends], strict=False), strict=True))
-    says = f"forecasts {plan.ahead} samples ahead" if ahead else run_of(record)
+    says = f"forecasts {ahead} samples ahead" if ahead else run_of(record)
     says += (" after" if plan.train < end else " of") + " the training part" if own else ""
     says += "" if own else f" of the test record {record.name}"
     level = 0.0 if interval is None or np.isnan(half).all() else interval.share

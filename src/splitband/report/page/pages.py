@@ -16,7 +16,6 @@ from splitband.checks.inspection import Inspection
 from splitband.checks.model import ModelCheck
 from splitband.checks.residuals import CONFIDENCE, ResidualTests
 from splitband.checks.responses import Responses, respond_over_range
-from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
 from splitband.forecasters.base import Forecaster, all_parts, titled
 from splitband.forecasters.grey_box import GreyBox
@@ -40,7 +39,7 @@ from splitband.runtime.files import sha256_of
 MAX_BODE = 4
 """Largest number of pairs of input and output with gain and phase, too. Layout."""
 NEAR = 1, 10
-"""Samples ahead for which fits are shown."""
+"""Samples ahead for which fits are shown. Layout."""
 NEAR_SAMPLES = 2_000
 """First samples after the training part in which these forecasts lie. Bounds the time."""
 
@@ -50,8 +49,8 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     record, train, best = result.record, result.plan.train, result.recommended
     listed = tables.of_comparison(result)
     labels = {name: listed.label(name) for name in ordered(result.trial, result.fits)}
-    simulators = [n for n, m in result.methods.items() if "simulator" in m.needs and not m.random]
-    drawn = looks(labels, listed.minor, simulators)
+    needed = [n for n, m in result.methods.items() if "simulator" in m.needs and not m.random]
+    drawn = looks(labels, listed.minor, [*needed, *result.plan.also])
     runs = over_time.runs_of(result, drawn)
     names = ["time", *[""] * len(runs)]
     plots = [p for r, n in zip(runs, names, strict=False) for p in over_time.over_time(r, drawn, n)]
@@ -100,35 +99,36 @@ def _by_band(run: Run, drawn: Mapping[str, Look], cutoff: float | None) -> list[
 def _methods(result: Comparison, listed: Table, drawn: Iterable[str]) -> Section:
     """Return the section of the table of methods."""
     plan, best = result.plan, result.recommended
-    kinds = "N ahead", "test", "forecast"
-    fits = [c for kind in kinds for c in columns(result, f"{kind} fit %")]
-    named = [name for name in listed.rows if name in drawn or name in listed.minor]
-    near = _near(result, named) if plan.ahead is None else columns(result, *_AHEAD)
+    fits = columns(result, *_AHEAD, "test fit %", "forecast fit %")
+    named = [name for name in result.fits if name in drawn or name in listed.minor]
+    near = _near(result, named) if plan.ahead is None else []
     errors = columns(result, "test RMSE", "forecast RMSE", *[] if fits else ["held-out RMSE"])
     shown = [*fits, *near, *errors, *columns(result, "in interval")]
-    text = words.why(result.require_trial(), plan.train, listed.labels, plan.ahead)
-    if chosen := result.fits[best][0].description:
-        text.append(words.sentence(f"Recommended: {chosen}"))
+    chosen = filter(None, [titled(best, listed.label(best)), result.fits[best][0].description])
+    text = [words.sentence(f"Recommended: {', '.join(chosen)}")]
+    text += words.why(result.require_trial(), plan.train, listed.labels, plan.ahead)
     table = replace(listed, columns=shown, details={})
     return Section("methods", "All methods", [" ".join(text)], tables=[table])
 
 
-_AHEAD = "1 ahead fit %", "N/10 ahead fit %"
+_AHEAD = "1 ahead fit %", "N/10 ahead fit %", "N ahead fit %"
 
 
 def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
     """Return the fits of these methods a few samples ahead of origins on unseen samples."""
     record, first = result.record, result.plan.train
     if result.tests:
-        record = result.tests[0]
-        first = len(record) - max((len(fit.tests[0]) for fit in _tested(result)), default=0)
+        record, names = result.tests[0], [name for name in names if result.medians[name].tests]
+        lengths = (len(result.medians[name].tests[0]) for name in names)
+        first = len(record) - max(lengths, default=0)
     end = min(len(record), first + NEAR_SAMPLES)
     origins = many_origins(first, first, end, NEAR[-1])[::2]
     fits = dict[str, list[Array]]()
     for name in names if origins else ():
-        trained, other = result.trained(name), bool(result.tests)
+        trained = result.trained(name)
+        other = bool(result.tests) and not trained.anchored
         try:
-            made = forecasts(trained, record, origins, other and not trained.anchored)
+            made = forecasts(trained, record, origins, other)
         except ValueError:  # for want of a simulator, as in the table
             continue
         fits[name] = [fit_ahead(record, made, ahead) for ahead in NEAR]
@@ -148,14 +148,10 @@ def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
     ]
 
 
-def _tested(result: Comparison) -> list[Fit]:
-    return [fit for fit in result.medians.values() if fit.tests]
-
-
 def _residuals(tests: Sequence[ResidualTests]) -> list[Section]:
     """Return the section of the residual tests."""
     text = [
-        " ".join(test.finding() for test in tests),
+        " ".join(map(words.unexplained, tests)),
         "Shown as they are tested: residuals and inputs are prewhitened, by the autoregressive "
         "model of the residuals, but for the residuals' own past. Lags reach to twice the slowest "
         f"period. Shaded: {100 * CONFIDENCE:.0f} % of the values by chance. Values outside at "
@@ -279,7 +275,7 @@ def of_checks(checks: Mapping[str, ModelCheck], used: Usage) -> Page:
     """Return the page of checks of several models, by their folders, on one record."""
     record = next(iter(checks.values())).record
     drawn = looks({name: titled(name, check.title) for name, check in checks.items()})
-    simulated = {name: _placed(check.simulation.y, record) for name, check in checks.items()}
+    simulated = {name: _placed(checks[name].simulation.y, record) for name in drawn}
     run = Run(record, "simulation", simulated)
     title = f"{len(checks)} models on {record.name or 'a record'}"
     plots, listed = over_time.over_time(run, drawn), [tables.of_checks(checks)]

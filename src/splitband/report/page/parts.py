@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 MOST_DRAWN = 6
 """Largest number of methods with curves. Layout."""
 DASHES = (), (9, 4), (2, 3), (9, 3, 2, 3), (16, 4), (4, 4)
-"""Lengths of dashes and gaps, in pixels: curves differ without their colours, too."""
+"""Lengths of dashes and gaps, in pixels: curves differ without their colours, too. Layout."""
 
 
 @dataclass(frozen=True, eq=False)
