@@ -33,8 +33,10 @@ def main() -> None:
         bands = page.locator("#bands").bounding_box()
         assert bands is not None
         end = bands["y"] + bands["height"]
-        clip = {"x": LEFT, "y": 0, "width": WIDTH, "height": end}
-        page.screenshot(path=images / "report.png", clip=clip)
+        page.screenshot(
+            path=images / "report.png",
+            clip={"x": LEFT, "y": 0, "width": WIDTH, "height": end},
+        )
         browser.close()
 
 
