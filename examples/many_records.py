@@ -6,8 +6,13 @@
         'python examples/many_records.py records results $SLURM_ARRAY_TASK_ID'
     splitband summary results/*                                          # one table of all of them
 
-`records` holds CSV files whose input is called u. A third argument that is a number compares one
-record, that with this index.
+`records` contains CSV files whose input is called u. A third argument that is a number compares
+one record, the one with this index. What is finished is left alone when the program runs again; in
+a shell --skip-done does so:
+
+    for f in records/*.csv; do
+        splitband compare $f --inputs u --jobs 1 --skip-done --out results/$(basename $f .csv)
+    done
 """
 
 import sys

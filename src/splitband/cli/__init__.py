@@ -40,21 +40,21 @@ def _nothing(*_: Any, **__: Any) -> None:
     """Stand for a type that the help does not show."""
 
 
-def _plain(parameters: list[Any]) -> list[Any]:
-    """Return parameters whose help shows neither the types of switches nor ranges of numbers."""
-    for each in parameters:
-        each._get_number_range_help_str = _nothing
-        if each.param_type_name == "argument" or each.is_flag:
-            each.display_type_rich = _nothing
-    return parameters
-
-
-class LockedCommand(typer.core.TyperCommand):
-    """A command that runs only if its --out replaces no input and is not in use."""
+class Plain:
+    """A command whose help shows neither the types of switches nor ranges of numbers."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, described plainly."""
-        return _plain(super().get_params(ctx))
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for each in parameters:
+            each._get_number_range_help_str = _nothing
+            if each.param_type_name == "argument" or each.is_flag:
+                each.display_type_rich = _nothing
+        return parameters
+
+
+class LockedCommand(Plain, typer.core.TyperCommand):
+    """A command that runs only if its --out replaces no input and is not in use."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
         """Parse the words of the command; an error shows the command that may be meant."""
@@ -82,14 +82,10 @@ class LockedCommand(typer.core.TyperCommand):
             raise TyperException(in_words(error, options)) from error
 
 
-class Commands(TyperGroup):
+class Commands(Plain, TyperGroup):
     """The commands, listed without importing their modules: importing torch takes seconds."""
 
     listing = False
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters, described plainly."""
-        return _plain(super().get_params(ctx))
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the commands, in the order in which a new user needs them."""

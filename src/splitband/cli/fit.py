@@ -118,13 +118,13 @@ def fit(
         if note not in plan.warnings:
             printing.warn(note)
         described = described.replace(f"; {note}", "")  # it is said once
-    said = f"{forecaster.title}, {described}: fitted to "
-    said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"
+    said = f"{forecaster.title}: {described}\n"
+    said += f"trained on {len(fitted.record)} samples in {report.seconds:.1f} s"
     if error is not None:
         begin = max(forecaster.warmup, 2)
-        said += f"; free run over them from the first {begin}: RMSE {error:.4g}"
+        said += f"; RMSE of their simulation from the first {begin} on: {error:.4g}"
     if calibration is not None:
-        said += f"\nsimulator calibrated: {calibration}"
+        said += f"\ncalibration of the simulator: {calibration}"
     printing.console.print(f"{said}\nmodel: {out}/")
     printing.results_of(out)
 
