@@ -19,7 +19,6 @@ GIVEN: dict[str, dict[str, str]] = {
         "properties of what is simulated": "0.45 0.75 1.05",
         "printed by benchmarks.linear": "0.900 0.014 0.889 0.020",
     },
-    "docs/why.md": {"level of significance": "0.05"},
     "docs/results/benchmarks.md": {"sampling rate": "610.35"},
     "docs/results/beyond.md": {"finished study, commit c5ae2c0": "0.182"},
 }
