@@ -423,8 +423,8 @@ class Ode(UserCode):
         u = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
         begin = np.array(self.initial(values) if state is None else state, dtype=float)
         if self.method == "RK45":
-            solve, p = self._solver(values)
-            x, taken, size = solve(p, begin, time, (u, self.hold == "zoh"), steps, self.tolerances)
+            (solve, p), inputs = self._solver(values), (u, self.hold == "zoh")
+            x, taken, size, _ = solve(p, begin, time, inputs, steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
         return self._observed(x, u, values), x, taken, size
