@@ -430,8 +430,11 @@ class Solver:
 
 
 @cache
-def solver(rhs: Rhs, arguments: int, of: tuple[Rhs | None, ...] = ()) -> Solver:
-    """Return the common solver of an equation."""
+def solver(rhs: Rhs, arguments: int, of: tuple[Rhs | None, ...] = (), outputs: int = 0) -> Solver:
+    """Return the common solver of an equation whose terms have so many outputs.
+
+    Compiled code does not check indices: another number of outputs is run in Python first.
+    """
     return Solver(rhs, arguments, of)
 
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -23,7 +22,15 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
-from splitband.simulators.augmentation import AS_GOOD, DECAYS, MEMBERS, begun, held, held_out, prior
+from splitband.simulators.augmentation import (
+    AS_GOOD,
+    DECAYS,
+    MEMBERS,
+    beginnings,
+    begun,
+    held,
+    prior,
+)
 from splitband.simulators.base import matched
 from splitband.simulators.parameters import (
     MIN_NOISE,
@@ -100,6 +107,14 @@ class Fit:
     noise: Array
 
 
+class Training(NamedTuple):
+    """A fit in windows of some length, with the comparison that it is of."""
+
+    shooting: Shooting
+    length: int
+    fit: Fit
+
+
 @dataclass(frozen=True)
 class StartOutcome:
     """The outcome of one starting point.
@@ -165,13 +180,17 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
         raise InputError(f"simulator must run for some parameters in their ranges: {reason}")
-    window = _window(outcomes, longest)
+    window, remarks = _window(outcomes, longest), list[str]()
     ranked = sorted((o.found[window].error, o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
     fit, members = best.found[window], tuple[Trained, ...]()
-    if any(term.free for term in simulator.terms) and not deadline.over:
-        with suppress(DeadlineError), within(min(current(), deadline)):
-            shooting, window, fit, members = _augmented(shooting, best.found, effort.seed)
+    if any(term.free for term in simulator.terms):
+        try:
+            with within(min(current(), deadline)):
+                training, members, remarks = _augmented(shooting, window, best.found, effort.seed)
+                shooting, window, fit = training
+        except DeadlineError:
+            remarks = ["the time was over before the unknown terms were trained: they are left out"]
     with within(NEVER):  # the result is evaluated even after the deadline
         precise = shooting.of(simulator.precise())
         # The solver may not be able to keep smaller tolerances.
@@ -196,7 +215,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         "the time was over before every starting point was tried": cut,
         f"simulated in windows of {window} samples, {lost_whole}": window < longest,
     }
-    remarks = [*estimate.remarks]
+    remarks += estimate.remarks
     if not shooting.trained.any():
         remarks += _alternatives(shooting, outcomes, window, estimate, fit)
     if shooting.names:
@@ -266,51 +285,61 @@ def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
 
 
 def _augmented(
-    alone: Shooting, found: Mapping[int, Fit], seed: int
-) -> tuple[Shooting, int, Fit, tuple[Trained, ...]]:
-    """Train unknown terms from the fits without them; return the best training, and others as good.
+    alone: Shooting, window: int, found: Mapping[int, Fit], seed: int
+) -> tuple[Training, tuple[Trained, ...], list[str]]:
+    """Train unknown terms from the fits without them; return the best training.
 
-    It is returned as comparison, length of the windows and fit.
+    Also return the states of terms of others as good, and remarks. Weight decays, and to have no
+    term at all, are compared by a simulation of the last samples of the records, which a fit of the
+    others has not seen.
     """
-    length = min(found)
-    path = alone.restored(length, found[length]).path
-    fractions, noise = found[length].unknowns[: len(alone.names)], alone.noise
-    lengths = [n for n in _lengths(alone) if n > length]
+    shortest = min(found)
+    fit = found[shortest]
+    fractions, path = fit.unknowns[: len(alone.names)], alone.restored(shortest, fit).path
 
-    def trained(experiments: Sequence[Experiment], decay: float, seed: int) -> Any:
-        """Return error, comparison, length and fit of a training."""
-        alone.noise = noise
-        simulator, which = begun(alone, fractions, path, seed)
-        shooting = Shooting(simulator, experiments, alone.scale)
-        shooting.trained, shooting.noise, shooting.sizes = which, noise, alone.sizes
-        common = np.concatenate([fractions, simulator.weights[which]])
-        fits = [*grown(shooting, common, [length, *lengths], path, decay)]
-        return (fits[-1][1].error, shooting, *fits[-1]) if fits else None
+    def trained(
+        experiments: Sequence[Experiment], seed: int, decay: float | None
+    ) -> Training | None:
+        """Return the training on the first samples of the records; without a decay of no term."""
+        known = [x[: len(each.y)] for x, each in zip(path, experiments, strict=True)]
+        shooting, common = alone.of(alone.simulator, experiments), fractions
+        if decay is not None:
+            shooting.simulator, shooting.trained = begun(shooting, fractions, known, seed)
+            common = np.concatenate([fractions, shooting.simulator.weights[shooting.trained]])
+            shooting.sizes = fit.sizes
+            shooting.prior = prior(shooting, common, known, decay)
+        shooting.noise = fit.noise
+        lengths = [n for n in _lengths(shooting) if n > shortest]
+        fits = [*grown(shooting, common, [shortest, *lengths], known)]
+        return Training(shooting, *fits[-1]) if fits else None
 
-    def ahead(decay: float) -> float:
+    def ahead(decay: float | None) -> float:
         """Return the error on held-out samples."""
-        masked = held_out(alone.experiments)
-        tried = trained(masked, decay, seed)
-        if tried is None:
+        training = trained(beginnings(alone.experiments), seed, decay)
+        if training is None:
             return np.inf
-        _, shooting, length, fit = tried
-        shooting.experiments = alone.experiments
-        whole = np.concatenate(shooting.restored(length, fit).errors)
-        shooting.experiments = masked
-        gaps = np.isnan(np.concatenate(shooting.restored(length, fit).errors))
-        return float(np.sqrt(np.nanmean(np.where(gaps, whole, np.nan) ** 2)))
+        shooting, length, fit = training
+        return shooting.ahead(length, fit, alone.experiments)
 
-    decay = min(DECAYS, key=ahead)
-    trainings = [trained(alone.experiments, decay, seed + i) for i in range(MEMBERS)]
-    good = sorted((each for each in trainings if each is not None), key=lambda each: each[0])
+    errors = {decay: ahead(decay) for decay in (None, *DECAYS)}
+    decay = min(errors, key=lambda each: errors[each])
+    if decay is None:
+        best = min((errors[each] for each in DECAYS), default=np.inf)
+        remark = (
+            "the unknown terms were left out: with them, held-out samples are forecast with an "
+            f"error of {best:.3g} deviations, without them of {errors[None]:.3g}, as where the "
+            "equation lacks a state; a hybrid learns what is missing outside of it"
+        )
+        return Training(alone, window, found[window]), (), [remark]
+    trainings = (trained(alone.experiments, seed + i, decay) for i in range(MEMBERS))
+    good = sorted((each for each in trainings if each), key=lambda each: each.fit.error)
     if not good:
         raise DeadlineError
-    best = good[0]
     members: list[Trained] = []
-    for error, shooting, length, fit in good[1:]:
-        if error <= AS_GOOD * best[0]:
+    for shooting, length, fit in good[1:]:
+        if fit.error <= AS_GOOD * good[0].fit.error:
             members += held(shooting, shooting.restored(length, fit).path)
-    return best[1], best[2], best[3], tuple(members)
+    return good[0], tuple(members), []
 
 
 def _tied(shooting: Shooting, fit: Fit) -> Fit:
@@ -493,7 +522,6 @@ def grown(
     common: Array,
     lengths: list[int],
     path: Sequence[Array] | None = None,
-    decay: float | None = None,
 ) -> Iterator[tuple[int, Fit]]:
     """Yield fits in windows that grow as far as the state allows it, with their lengths.
 
@@ -503,21 +531,18 @@ def grown(
     common : Parameters and weights at the beginning.
     lengths : Lengths of windows, the shortest first.
     path : States by record at the beginning; None for those that follow from the parameters.
-    decay : Weight decay of unknown terms; None without them.
     """
     found = False
     while lengths:
         length, *lengths = lengths
         shooting.divide(length)
         at = shooting.begun(common) if path is None else shooting.resumed(common, path)
-        if path is not None and decay is not None:
-            shooting.prior = prior(shooting, common, path, decay)
         if not _runs(shooting.compare(at)):
             continue
         fit = descended(shooting, at, _ROUNDS)
         compared = shooting.compare(fit.unknowns, slopes=True)
         here, later = shooting.growth(compared.transitions)
-        if here > MOST_GROWTH and decay is None and (found or -(-length // GROWTH) >= SHORTEST):
+        if here > MOST_GROWTH and (found or -(-length // GROWTH) >= SHORTEST):
             lengths = [] if found else [-(-length // GROWTH), length, *lengths]
             continue
         found, common = True, fit.unknowns[: shooting.common]
@@ -525,7 +550,7 @@ def grown(
         if later > MOST_GROWTH:
             break
         whole = all(np.isfinite(x).all() for x in compared.path)
-        path = compared.path if whole else path if decay is not None else None
+        path = compared.path if whole else path
 
 
 def _lengths(shooting: Shooting) -> list[int]:

@@ -210,11 +210,13 @@ class Shooting:
         self.trained = np.zeros(len(simulator.weights), dtype=bool)
         self.prior: Callable[[Array], tuple[Array, Array]] | None = None
 
-    def of(self, simulator: Adjustable) -> Shooting:
-        """Return the same comparison with another simulator, whose terms are taught."""
+    def of(
+        self, simulator: Adjustable, experiments: Sequence[Experiment] | None = None
+    ) -> Shooting:
+        """Return the same comparison with another simulator, whose terms are taught, or records."""
         states: Any = tuple(term.trained for term in self.simulator.terms)
         simulator = simulator.taught(states) if self.trained.any() else simulator
-        other = Shooting(simulator, self.experiments, self.scale)
+        other = Shooting(simulator, experiments or self.experiments, self.scale)
         other.trained, other.prior = self.trained, self.prior
         return other
 
@@ -306,6 +308,20 @@ class Shooting:
         self.divide(length)
         self.sizes, self.noise = fit.sizes, fit.noise
         return self.compare(fit.unknowns)
+
+    def ahead(self, length: int, fit: Any, experiments: Sequence[Experiment]) -> float:
+        """Return the RMS error in deviations of samples after those of a fit; infinite for none.
+
+        They are simulated from the last windows on; `experiments` have the whole records.
+        """
+        self.restored(length, fit)
+        errors = []
+        for window in {window.record: window for window in self.windows}.values():
+            part = experiments[window.record].part(window.begin, len(experiments[window.record].y))
+            y, _ = self.respond(part, [self._point(window, fit.unknowns)])[0]
+            errors.append(self._errors(part, y)[len(window.part.y) :])
+        every = np.concatenate(errors)
+        return float(np.sqrt(np.nanmean(every**2))) if np.isfinite(every).any() else np.inf
 
     def compare(  # noqa: PLR0915  one pass over the windows
         self, unknowns: Array, slopes: bool = False
