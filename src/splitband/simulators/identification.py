@@ -53,14 +53,11 @@ from splitband.simulators.shooting import (
 from splitband.simulators.unknown import Trained
 from splitband.simulators.user_code import failure
 
-STARTS = 32
+STARTS = 16
 """Default limit of starting points. Bounds the time."""
 ENOUGH = 4
 """Number of starts with equal errors at the end of the search, and of starts in a batch, for any
 number of processes, so that results do not depend on it. Bounds the time."""
-PATIENCE, _HARDLY_BETTER = 8, 0.02
-"""Number of last starts, and their gain as a share of the error, at the end of the search. Bounds
-the time."""
 SAME_ERROR = 1e-3
 """Relative difference of equal errors. Rounding."""
 SHORTEST, _WINDOWS = 16, 32
@@ -87,9 +84,6 @@ LEAST_SLACK = 1e-2
 """Least slack between windows, see `Shooting`. Rounding."""
 _SAME_PLACE = 0.02
 """Distance of equal values, as a share of a range. By eye."""
-WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3
-"""Least error of a simulation of whole records, in deviations, with windows as an alternative, and
-the largest error of useful windows, as a share of the first error. By eye."""
 _DEFECTS = (NameError, AttributeError, ImportError)
 """Errors of code, independent of parameter values."""
 
@@ -180,7 +174,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
         raise InputError(f"simulator must run for some parameters in their ranges: {reason}")
-    window, remarks = _window(outcomes, longest), list[str]()
+    window, remarks = _window(outcomes), list[str]()
     ranked = sorted((o.found[window].error, o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
     fit, members = best.found[window], tuple[Trained, ...]()
@@ -263,25 +257,13 @@ def check_runs(simulator: Any, record: Record) -> Any:
     ) from reason
 
 
-def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
-    """Return the longest windows to which the best start goes on.
-
-    Or shorter ones, if they fit far better.
-    """
-    lengths = sorted({n for outcome in outcomes for n in outcome.found})
-    best = {}
-    for n in lengths:
-        ran = [o for o in outcomes if n in o.found]
-        start = min(ran, key=lambda o: o.found[n].error)
-        best[n] = start.found[n].error
-        if max(start.found) == n:
-            break
-    chosen = max(best)
-    if chosen < longest or best[chosen] < WINDOWS_FROM_ERROR:
-        return chosen
-    return next(
-        (n for n in sorted(best)[-2::-1] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen
-    )
+def _window(outcomes: Sequence[StartOutcome]) -> int:
+    """Return the longest windows to which the best start goes on."""
+    for n in sorted({n for outcome in outcomes for n in outcome.found}):
+        best = min((o for o in outcomes if n in o.found), key=lambda o: o.found[n].error)
+        if max(best.found) == n:
+            return n
+    raise AssertionError
 
 
 def _augmented(
@@ -470,7 +452,10 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
                     effort.progress(len(done), len(points))
             if part is alone and alone and now() - began < WORTH_PROCESSES:
                 workers = 1
-        if _settled([done[i] for i in sorted(done)], problem.longest):
+        errors = [
+            o.found[problem.longest].error for o in done.values() if problem.longest in o.found
+        ]
+        if sum(error <= min(errors) * (1 + SAME_ERROR) for error in errors) >= ENOUGH:
             break
     return [done[i] for i in sorted(done)]
 
@@ -493,15 +478,6 @@ def _side_by_side(
     finally:
         if pool is not None:
             pool.shutdown()
-
-
-def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
-    """Return whether enough starts agree on the lowest error, or the last hardly lowered it."""
-    errors = [o.found[longest].error for o in outcomes if longest in o.found]
-    if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
-        return True
-    before = [o.found[longest].error for o in outcomes[:-PATIENCE] if longest in o.found]
-    return min(before, default=np.inf) <= min(errors, default=0.0) * (1 + _HARDLY_BETTER)
 
 
 def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> StartOutcome:
