@@ -134,7 +134,8 @@ def gathered(of: Sequence[Function | None], compiled: Function = lambda f: f) ->
 
     Parameters
     ----------
-    of : The function `of(x, u)` of each term; None for `all_of`.
+    of : The function `of(x, u)` of each term, or one with the `places` of states and inputs; None
+        for `all_of`.
     compiled : Called with each function; by default they are run as they are.
     """
 
@@ -143,7 +144,11 @@ def gathered(of: Sequence[Function | None], compiled: Function = lambda f: f) ->
 
     gather = compiled(nothing)
     for term, function in enumerate(of):
-        gather = compiled(_appended(gather, compiled(function or all_of), term))
+        places = getattr(function, "places", None)
+        if places is None:
+            gather = compiled(_appended(gather, compiled(function or all_of), term))
+        else:
+            gather = compiled(_chosen(gather, np.array(places), term))
     return gather
 
 
@@ -156,5 +161,16 @@ def _appended(before: Function, of: Function, term: int) -> Function:
                 raise InputError("of must return as many quantities as in training")
             put(quantities, z, at)
         return int(at + count)
+
+    return gather
+
+
+def _chosen(before: Function, places: Array, term: int) -> Function:
+    def gather(x: Array, u: Array, layout: Any, z: Array) -> int:
+        at = before(x, u, layout, z)
+        for q in range(layout[term, 0]):
+            place = places[q]
+            z[at + q] = x[place] if place < len(x) else u[place - len(x)]
+        return int(at + layout[term, 0])
 
     return gather
