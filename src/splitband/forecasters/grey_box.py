@@ -19,12 +19,13 @@ from splitband.records import Record
 from splitband.records.preparation import check_level
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
+from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.base import Absent, matched, origin
 from splitband.simulators.fixed_steps import FixedSteps, enough_steps
 from splitband.simulators.functions import Ode
 from splitband.simulators.identification import Effort, check_runs, identify
 from splitband.simulators.parameters import Adjustable, Estimate, Response
-from splitband.simulators.shooting import Adjusted, Experiment
+from splitband.simulators.shooting import Experiment
 from splitband.simulators.unknown import Unknown, UnknownCurve
 
 STARTS = 0.5, 2 / 3, 5 / 6

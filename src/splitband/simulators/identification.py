@@ -32,6 +32,7 @@ from splitband.simulators.augmentation import (
     prior,
 )
 from splitband.simulators.base import matched
+from splitband.simulators.least_squares import BAD, minimise
 from splitband.simulators.parameters import (
     MIN_NOISE,
     Adjustable,
@@ -42,13 +43,11 @@ from splitband.simulators.parameters import (
     uncertainty,
 )
 from splitband.simulators.shooting import (
-    BAD,
     GROWTH,
     MOST_GROWTH,
     Compared,
     Experiment,
     Shooting,
-    minimise,
 )
 from splitband.simulators.unknown import Trained
 from splitband.simulators.user_code import failure
