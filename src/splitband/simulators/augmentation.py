@@ -20,13 +20,13 @@ from splitband.runtime.errors import InputError
 from splitband.simulators.shooting import Experiment, Shooting
 from splitband.simulators.unknown import Trained, packed
 
-DECAYS = 1e-3, 1e-2, 1e-1
+DECAYS = 1e-3, 1e-1, 1e1, 1e3
 """Weight decays that are tried: squared weights of these sizes count as an error of one deviation
 of the noise in one sample. By eye."""
 MEMBERS = 4
 """Trainings from different weights. Bounds the time."""
 AS_GOOD = 1.1
-"""Largest error of a further training that is kept, by the least one. By eye."""
+"""Largest held-out error of a further training that is kept, by the least one. By eye."""
 HELD_OUT = 0.25
 """Share of the samples of a record, its last ones, by which the weight decay is chosen. By eye."""
 _TAKEN = 0.1

@@ -270,57 +270,60 @@ def _augmented(
 ) -> tuple[Training, tuple[Trained, ...], list[str]]:
     """Train unknown terms from the fits without them; return the best training.
 
-    Also return the states of terms of others as good, and remarks. Weight decays, and to have no
-    term at all, are compared by a simulation of the last samples of the records, which a fit of the
-    others has not seen.
+    Also return the states of terms of others as good, and remarks. Weight decays, trainings from
+    other weights, and to have no term at all, are compared by a simulation of the last samples of
+    the records, which are held out; then the training goes on with all samples.
     """
     shortest = min(found)
     fit = found[shortest]
     fractions, path = fit.unknowns[: len(alone.names)], alone.restored(shortest, fit).path
+    first = beginnings(alone.experiments)
+    known = [x[: len(each.y)] for x, each in zip(path, first, strict=True)]
 
-    def trained(
-        experiments: Sequence[Experiment], seed: int, decay: float | None
-    ) -> Training | None:
-        """Return the training on the first samples of the records; without a decay of no term."""
-        known = [x[: len(each.y)] for x, each in zip(path, experiments, strict=True)]
-        shooting, common = alone.of(alone.simulator, experiments), fractions
+    def trained(shooting: Shooting, common: Array, path: Sequence[Array]) -> Training | None:
+        """Return the training from parameters and weights, and from states."""
+        lengths = [n for n in _lengths(shooting) if n > shortest]
+        fits = [*grown(shooting, common, [shortest, *lengths], path)]
+        return Training(shooting, *fits[-1]) if fits else None
+
+    def tried(decay: float | None, seed: int) -> tuple[float, Training | None]:
+        """Return the error on held-out samples of a training on the others; None is for no term."""
+        shooting, common = alone.of(alone.simulator, first), fractions
+        shooting.noise, shooting.sizes = fit.noise, fit.sizes
         if decay is not None:
             shooting.simulator, shooting.trained = begun(shooting, fractions, known, seed)
             common = np.concatenate([fractions, shooting.simulator.weights[shooting.trained]])
-            shooting.sizes = fit.sizes
             shooting.prior = prior(shooting, common, known, decay)
-        shooting.noise = fit.noise
-        lengths = [n for n in _lengths(shooting) if n > shortest]
-        fits = [*grown(shooting, common, [shortest, *lengths], known)]
-        return Training(shooting, *fits[-1]) if fits else None
-
-    def ahead(decay: float | None) -> float:
-        """Return the error on held-out samples."""
-        training = trained(beginnings(alone.experiments), seed, decay)
+        training = trained(shooting, common, known)
         if training is None:
-            return np.inf
-        shooting, length, fit = training
-        return shooting.ahead(length, fit, alone.experiments)
+            return np.inf, None
+        return shooting.ahead(training.length, training.fit, alone.experiments), training
 
-    errors = {decay: ahead(decay) for decay in (None, *DECAYS)}
-    decay = min(errors, key=lambda each: errors[each])
-    if decay is None:
-        best = min((errors[each] for each in DECAYS), default=np.inf)
+    def whole(training: Training) -> Training:
+        """Return a training that goes on with all samples."""
+        shooting = training.shooting.of(training.shooting.simulator, alone.experiments)
+        shooting.noise = training.fit.noise
+        common = training.fit.unknowns[: shooting.common]
+        return trained(shooting, common, path) or training
+
+    without, _ = tried(None, seed)
+    decays = {decay: tried(decay, seed) for decay in DECAYS}
+    decay = min(decays, key=lambda each: decays[each][0])
+    if not decays[decay][0] < without:
         remark = (
             "the unknown terms were left out: with them, held-out samples are forecast with an "
-            f"error of {best:.3g} deviations, without them of {errors[None]:.3g}, as where the "
-            "equation lacks a state; a hybrid learns what is missing outside of it"
+            f"error of {decays[decay][0]:.3g} deviations, without them of {without:.3g}, as where "
+            "the equation lacks a state; a hybrid learns what is missing outside of it"
         )
         return Training(alone, window, found[window]), (), [remark]
-    trainings = (trained(alone.experiments, seed + i, decay) for i in range(MEMBERS))
-    good = sorted((each for each in trainings if each), key=lambda each: each.fit.error)
-    if not good:
-        raise DeadlineError
+    every = [decays[decay], *(tried(decay, seed + i) for i in range(1, MEMBERS))]
+    least = min(error for error, _ in every)
+    ranked = sorted(every, key=lambda each: each[0])
+    best, *others = [whole(t) for error, t in ranked if t and error <= AS_GOOD * least]
     members: list[Trained] = []
-    for shooting, length, fit in good[1:]:
-        if fit.error <= AS_GOOD * good[0].fit.error:
-            members += held(shooting, shooting.restored(length, fit).path)
-    return good[0], tuple(members), []
+    for shooting, length, fit in others:
+        members += held(shooting, shooting.restored(length, fit).path)
+    return best, tuple(members), []
 
 
 def _tied(shooting: Shooting, fit: Fit) -> Fit:
