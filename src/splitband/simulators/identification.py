@@ -280,11 +280,12 @@ def _augmented(
     first = beginnings(alone.experiments)
     known = [x[: len(each.y)] for x, each in zip(path, first, strict=True)]
 
-    def trained(shooting: Shooting, common: Array, path: Sequence[Array]) -> Training | None:
-        """Return the training from parameters and weights, and from states."""
-        lengths = [n for n in _lengths(shooting) if n > shortest]
-        fits = [*grown(shooting, common, [shortest, *lengths], path)]
-        return Training(shooting, *fits[-1]) if fits else None
+    def trained(
+        shooting: Shooting, common: Array, path: Sequence[Array], most: float = np.inf
+    ) -> list[Training]:
+        """Return the trainings in windows that grow, from parameters, weights and states."""
+        lengths = [shortest, *(n for n in _lengths(shooting) if shortest < n <= most)]
+        return [Training(shooting, *each) for each in grown(shooting, common, lengths, path)]
 
     def tried(decay: float | None, seed: int) -> tuple[float, Training | None]:
         """Return the error on held-out samples of a training on the others; None is for no term."""
@@ -294,17 +295,19 @@ def _augmented(
             shooting.simulator, shooting.trained = begun(shooting, fractions, known, seed)
             common = np.concatenate([fractions, shooting.simulator.weights[shooting.trained]])
             shooting.prior = prior(shooting, common, known, decay)
-        training = trained(shooting, common, known)
-        if training is None:
-            return np.inf, None
-        return shooting.ahead(training.length, training.fit, alone.experiments), training
+        found = trained(shooting, common, known)
+        errors = [shooting.ahead(each.length, each.fit, alone.experiments) for each in found]
+        return min(
+            zip(errors, found, strict=True), key=lambda pair: pair[0], default=(np.inf, None)
+        )
 
     def whole(training: Training) -> Training:
         """Return a training that goes on with all samples."""
         shooting = training.shooting.of(training.shooting.simulator, alone.experiments)
         shooting.noise = training.fit.noise
         common = training.fit.unknowns[: shooting.common]
-        return trained(shooting, common, path) or training
+        most = training.length * alone.longest / training.shooting.longest + 1
+        return (trained(shooting, common, path, most) or [training])[-1]
 
     without, _ = tried(None, seed)
     decays = {decay: tried(decay, seed) for decay in DECAYS}
