@@ -64,7 +64,7 @@ SHORTEST, _WINDOWS = 16, 32
 WORTH_PROCESSES = 10.0
 """Seconds of the first start from which on the others run in processes of their own, which have to
 start and to compile the equation. Bounds the time."""
-_ROUNDS, LAST_ROUNDS = 30, 100
+_ROUNDS, LAST_ROUNDS = 30, 300
 """Largest number of steps in a search, and in the last search from the best values. Bounds the
 time."""
 _PULL = 1e-6
@@ -307,7 +307,11 @@ def _augmented(
         shooting.noise = training.fit.noise
         common = training.fit.unknowns[: shooting.common]
         most = training.length * alone.longest / training.shooting.longest + 1
-        return (trained(shooting, common, path, most) or [training])[-1]
+        if not (found := trained(shooting, common, path, most)):
+            return training
+        _, length, fit = found[-1]
+        shooting.restored(length, fit)
+        return Training(shooting, length, descended(shooting, fit.unknowns, LAST_ROUNDS))
 
     without, _ = tried(None, seed)
     decays = {decay: tried(decay, seed) for decay in DECAYS}

@@ -331,8 +331,11 @@ class Shooting:
     def growth(self, transitions: Sequence[Array]) -> tuple[float, float]:
         """Return how much an error of the state grows in a window and in one of the next stage.
 
-        Both are medians of the windows; 0 if it does not grow exponentially.
+        Both are medians of the windows; 0 if it does not grow exponentially, and for unknown terms
+        in training, which longer windows correct.
         """
+        if self.trained.any():
+            return 0.0, 0.0
         growths = []
         for length in (1, GROWTH // 2, GROWTH):
             each = []
