@@ -161,11 +161,9 @@ def test_another_number_of_quantities_is_refused() -> None:
 def test_derivatives_go_through_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the parameters, the initial state and the weights, beside differences of solutions."""
     monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
-    terms = [
-        replace(term(hidden=3), of=Chosen((0, 2))),
-        replace(term(1, odd=True, hidden=2), of=Chosen((1, 0))),
-    ]
-    solve, time = Solver(rhs, 5, tuple(each.of for each in terms)), 0.05 * np.arange(40.0)
+    of = Chosen((0, 2)), Chosen((1, 0))
+    terms = [term(hidden=3), term(1, odd=True, hidden=2)]
+    solve, time = Solver(rhs, 5, of), 0.05 * np.arange(40.0)
     inputs, tight = (np.sin(3 * time)[:, None], False), (1e-11, 1e-11)
     kind, begin, packed_terms = parameters_class(("k",)), np.array([1.0, 0.0]), packed(terms)
 

@@ -337,7 +337,7 @@ class Solver:
                 self._compile(kind, p, terms, given)
             if (fast := self.compiled.get(kind)) is None and self.compiled:
                 fast = self.compiled[kind] = self._functions(kind, len(p), fast=True)
-            function = solve if fast is None else compiled()
+            function: Any = solve if fast is None else compiled()
             solution: tuple[Array, Array, float, Array] = function(
                 *(fast or self._functions(kind, len(p))), p, terms, *given
             )
