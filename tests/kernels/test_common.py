@@ -20,7 +20,7 @@ import splitband
 from splitband import kernels
 from splitband.comparison.jobs import every_kernel
 from splitband.filters import tensors
-from splitband.kernels import common, rollouts
+from splitband.kernels import common, ode, rollouts
 from splitband.kernels import matmul as products
 from splitband.kernels.recurrence import recurrence
 from splitband.kernels.terms import evaluate
@@ -133,6 +133,7 @@ def test_doctor_compiles_every_kernel_in_every_precision(monkeypatch: pytest.Mon
         first, second = jobs[0][:2]
         called.add((function, (first[0] if isinstance(first, tuple) else second).dtype.name))
 
+    ode.compiled.cache_clear()
     monkeypatch.setattr(rollouts, "run_jobs", note)
     monkeypatch.setattr(tensors, "recurrence", lambda *given: note(recurrence, [given]))
     for each in every_kernel():
@@ -141,9 +142,10 @@ def test_doctor_compiles_every_kernel_in_every_precision(monkeypatch: pytest.Mon
     values = [value for module in modules for value in vars(module).values()]
     compiled: list[Any] = [value for value in values if isinstance(value, Dispatcher)]
     kept = [value for value in compiled if isinstance(value._cache, FunctionCache)]
-    # Filters know no other, and terms are compiled with an equation.
+    # Filters know no other, and terms are compiled with the solver of equations.
     precisions = {recurrence: ["float64"], evaluate: []}
     expected = {
         (each, name) for each in kept for name in precisions.get(each, ["float32", "float64"])
     }
     assert called == expected
+    assert ode.compiled.cache_info().currsize == 1

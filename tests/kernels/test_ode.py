@@ -117,15 +117,15 @@ def test_a_hard_saturation_of_a_number_is_compiled(monkeypatch: pytest.MonkeyPat
 def test_its_error_is_of_the_order_of_its_tolerance(tolerance: float) -> None:
     solve = Solver(lambda t, x: [x[1], -x[0]], 2)
     x0, inputs = np.array([1.0, 0.0]), (ALONE, False)
-    found, steps, _ = solve((), x0, 20 * TIME, inputs, (NONE, 0.0), (tolerance, tolerance))
+    found, steps, *_ = solve((), x0, 20 * TIME, inputs, (NONE, 0.0), (tolerance, tolerance))
     assert 1e-3 * tolerance < np.abs(found[:, 0] - np.cos(20 * TIME)).max() < 1e3 * tolerance
     assert (steps == 1).sum() == len(TIME) - 1  # one ends at each sample
 
 
 def test_neighbours_take_the_same_steps() -> None:
-    found, steps, _ = solved(tolerance=1e-4)
+    found, steps, *_ = solved(tolerance=1e-4)
     solve, x0 = Solver(pendulum, 4), np.array([1.0, 0.0])
-    again, same, _ = solve(P, x0, TIME, (INPUT, False), (steps, 0.0), (1e-4, 1e-4))
+    again, same, *_ = solve(P, x0, TIME, (INPUT, False), (steps, 0.0), (1e-4, 1e-4))
     np.testing.assert_array_equal(again, found)
     np.testing.assert_array_equal(same, steps)
     beside, *_ = solve(P, x0 + 1e-7 * SIDE, TIME, (INPUT, False), (steps, 0.0), (1e-4, 1e-4))
@@ -138,7 +138,7 @@ def test_one_sample_at_a_time_is_the_same_solution() -> None:
     solve, x, size = Solver(pendulum, 4), np.array([1.0, 0.0]), 0.0
     for n in range(len(TIME) - 1):
         inputs = INPUT[n : n + 2], False
-        found, _, size = solve(P, x, TIME[n : n + 2], inputs, (NONE, size), TIGHT)
+        found, _, size, _ = solve(P, x, TIME[n : n + 2], inputs, (NONE, size), TIGHT)
         x = found[1]
         np.testing.assert_array_equal(x, whole[n + 1])
 

@@ -13,7 +13,7 @@ from splitband.kernels.ode import Solver
 from splitband.kernels.terms import evaluate
 from splitband.runtime.arrays import Array
 from splitband.simulators.parameters import parameters_class
-from splitband.simulators.unknown import packed
+from splitband.simulators.unknown import Chosen, packed
 
 KINDS: dict[str, dict[str, Any]] = {
     "plain": {},
@@ -28,7 +28,7 @@ Z: Array = np.random.default_rng(1).normal(size=(40, 2)) * [1.0, 30.0] + [0.5, 1
 
 def term(seed: int = 0, hold: bool = False, **options: Any) -> sb.Unknown:
     """A term of two quantities with random weights."""
-    made = sb.Unknown(hidden=5, **options)
+    made = sb.Unknown(**{"hidden": 5, **options})
     state = made.begun(Z, np.linspace(0.7, 2.0, made.outputs), seed)
     weights = np.random.default_rng(seed).normal(size=state.weights.shape)
     made = replace(made, trained=replace(state, weights=weights))
@@ -156,3 +156,28 @@ def test_another_number_of_quantities_is_refused() -> None:
     inputs = np.empty((3, 0)), False
     with pytest.raises(ValueError, match="as many quantities"):
         solve(((), packed([short])), np.zeros(2), time, inputs, (np.empty(0), 0.0), (1e-6, 1e-6))
+
+
+def test_derivatives_go_through_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the parameters, the initial state and the weights, beside differences of solutions."""
+    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
+    of = Chosen((0, 2)), Chosen((1, 0))
+    terms = [term(hidden=3), term(1, odd=True, hidden=2)]
+    solve, time = Solver(rhs, 5, of), 0.05 * np.arange(40.0)
+    inputs, tight = (np.sin(3 * time)[:, None], False), (1e-11, 1e-11)
+    kind, begin, packed_terms = parameters_class(("k",)), np.array([1.0, 0.0]), packed(terms)
+
+    def states(change: Array) -> Array:
+        theta = packed_terms[0] + change[3:]
+        p = kind(4.0 + change[0]), (theta, *packed_terms[1:])
+        return solve(p, begin + change[1:3], time, inputs, (np.empty(0), 0.0), tight)[0]
+
+    given = (kind(4.0), packed_terms), begin, time, inputs, (np.array([1.0]), np.array([0])), tight
+    for _ in range(2):  # in Python, and compiled
+        x, dx, steps, apart = solve.derivatives(*given)
+        np.testing.assert_allclose(x, states(np.zeros(dx.shape[2])), atol=1e-10)
+        for d, unit in enumerate(np.eye(dx.shape[2])):
+            expected = (states(1e-4 * unit) - states(-1e-4 * unit)) / 2e-4
+            np.testing.assert_allclose(dx[..., d], expected, atol=2e-6 * np.abs(dx).max())
+        np.testing.assert_allclose(dx @ steps, apart, atol=1e-3 * np.abs(apart).max())
+    assert solve.compiled

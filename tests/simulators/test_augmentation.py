@@ -77,3 +77,40 @@ def test_a_parameter_that_a_term_could_replace_takes_what_it_can() -> None:
     linear = float((x**2).sum() * 4 + (x**4).sum()) / float((x**2).sum())
     assert found.values["k"] == pytest.approx(linear, rel=0.15)
     assert "unknown terms could take the place of k: its value is the part" in str(found)
+
+
+def test_a_term_that_does_not_help_on_held_out_samples_is_left_out() -> None:
+    """A load swings below the trolley: its angle and its rate are no states of the equation."""
+
+    def swinging(t: float, x: Any, u: Any) -> list[float]:
+        return [x[1], u[0] - x[1], x[3], -4 * x[2] - 0.05 * x[3] - u[0] + x[1]]
+
+    def trolley(t: float, x: Any, u: Any, p: Any, w: Any) -> list[float]:
+        return [x[1], (u[0] - x[1]) / p.lag + w[0]]
+
+    u = np.repeat(np.resize(np.random.default_rng(0).normal(size=8), 12), 25)[:, None]
+    rig = sb.Ode(swinging, [0.0] * 4, lambda x: x[:, 0] + x[:, 2])
+    y = np.asarray(rig.simulate(0.1 * np.arange(300.0), u))
+    ode = sb.Ode(trolley, [0.0, 0.0], parameters={"lag": (0.1, 5.0)}, unknown=sb.Unknown(hidden=4))
+    record = sb.Record(y, 0.1, u=u)
+    model = sb.GreyBox(ode, starts=1).fit(record[:200])
+    alone = sb.GreyBox(ode.without_terms(), starts=1).fit(record[:200])
+    assert "the unknown terms were left out: with them, held-out" in model.describe()
+    forecast, expected = (each.predict(100, u=u[200:]).y for each in (model, alone))
+    np.testing.assert_allclose(forecast, expected)
+
+
+def test_outputs_that_the_equation_does_not_use_are_refused() -> None:
+    ode = sb.Ode(
+        rubbing, [0.0], parameters={"inertia": (0.1, 2.0)}, unknown=sb.Unknown(outputs=2, hidden=2)
+    )
+    with pytest.raises(sb.InputError, match=r"outputs of unknown terms must .* w\[1\] changes"):
+        identify(ode, drive(), effort=Effort(1))
+    one = sb.Ode(
+        lambda t, x, u, p, w: [(u[0] - w[1]) / p.inertia],
+        [0.0],
+        parameters={"inertia": (0.1, 2.0)},
+        unknown=sb.Unknown(),
+    )
+    with pytest.raises(sb.InputError, match="index 1 is out of bounds"):
+        identify(one, drive(), effort=Effort(1))

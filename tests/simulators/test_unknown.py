@@ -62,8 +62,16 @@ def test_a_term_enters_the_equation() -> None:
 
 def test_before_training_it_is_the_equation_without_the_term() -> None:
     free = sb.Ode(lambda t, x, u, p: sliding(t, x, u, p, [0.0]), [0.5, 0.0], parameters={"k": 4.0})
-    found = simulated(rig(unknown=sb.Unknown(speed)).fixed({"k": 4.0}))
+    untrained = rig(unknown=sb.Unknown(speed)).fixed({"k": 4.0})
+    found = simulated(untrained.without_terms())
     np.testing.assert_allclose(found, simulated(free), atol=1e-12)
+    with pytest.raises(sb.InputError, match=r"terms must be trained before .* ode.without_terms()"):
+        simulated(untrained)
+    record = sb.Record(found, 0.02, u=FORCE)
+    with pytest.raises(sb.InputError, match=r"terms must be trained .* sb.GreyBox\(ode\).fit"):
+        sb.Simulation(untrained).fit(record[:200]).predict(100, u=FORCE[200:])
+    same = sb.Simulation(untrained.without_terms()).fit(record[:200]).predict(100, u=FORCE[200:])
+    np.testing.assert_allclose(same.y, found[200:, None] if found.ndim == 1 else found[200:])
 
 
 def test_it_is_held_outside_the_range_of_the_record() -> None:
@@ -105,7 +113,7 @@ def test_quantities_have_names_of_states_and_of_a_record() -> None:
 
 
 def test_an_equation_can_be_had_without_its_terms() -> None:
-    free = simulated(rig(unknown=sb.Unknown(speed)))
+    free = simulated(rig(unknown=sb.Unknown(speed)).without_terms())
     np.testing.assert_array_equal(simulated(rig().without_terms()), free)
     opened = rig().opened_by(lambda _: rig()).without_terms()
     again, arguments = opened.__reduce_ex__(4)

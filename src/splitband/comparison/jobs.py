@@ -118,6 +118,13 @@ def compile_filter() -> None:
     lfilter([0.5], [1.0, -0.5], torch.arange(3.0))
 
 
+def compile_solver() -> None:
+    """Compile the solver of all equations."""
+    from splitband.kernels.ode import compiled  # noqa: PLC0415  in a worker
+
+    compiled()
+
+
 def kernels_of(forecasters: Sequence[Forecaster]) -> list[Callable[[], None]]:
     """Return what compiles the kernels of first trainings and forecasts of these methods.
 
@@ -131,10 +138,11 @@ def kernels_of(forecasters: Sequence[Forecaster]) -> list[Callable[[], None]]:
 
 
 def every_kernel() -> list[Callable[[], None]]:
-    """Return what compiles every kernel of networks, in each precision; nothing without torch."""
+    """Return what compiles the solver of equations and, with torch, all networks' kernels."""
     if not has_torch():
-        return []
+        return [compile_solver]
     return [
+        compile_solver,
         *(
             partial(compile_kernels, cell, rows, dtype)
             for rows in (1, BATCH)

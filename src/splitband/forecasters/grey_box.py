@@ -14,23 +14,24 @@ import numpy.typing as npt
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import GivenSteps, NotSteppedError, State, Steps
-from splitband.metrics import ExtrapolationWarning, rmse
+from splitband.metrics import ExtrapolationWarning
 from splitband.records import Record
 from splitband.records.preparation import check_level
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
+from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.base import Absent, matched, origin
 from splitband.simulators.fixed_steps import FixedSteps, enough_steps
 from splitband.simulators.functions import Ode
 from splitband.simulators.identification import Effort, check_runs, identify
 from splitband.simulators.parameters import Adjustable, Estimate, Response
-from splitband.simulators.shooting import Adjusted, Experiment
+from splitband.simulators.shooting import Experiment
 from splitband.simulators.unknown import Unknown, UnknownCurve
 
 STARTS = 0.5, 2 / 3, 5 / 6
 """Origins of the forecasts that choose the `memory`, as shares of the training record. By eye."""
-SHORTEST, GROWTH = 20, 4
-"""Samples of the shortest `memory` that is tried, and the factor from one to the next. By eye."""
+SHORT = 20
+"""Samples of the `memory` that is tried beside all of them. By eye."""
 MAX_ERROR_SHARE = 0.9
 """A memory is used if its error is below this share of that of the simulation from the start.
 By eye."""
@@ -379,34 +380,27 @@ class GreyBox(Forecaster):
         return y[memory:], x[memory:]
 
     def _chosen_memory(self, experiment: Experiment) -> int:
-        """Return the memory with the lowest forecast error: for a correct model 0, all samples."""
+        """Return the memory with the lower forecast error: for a correct model all samples."""
         samples, window = len(experiment.y), self.estimate.window
         origins = [int(share * samples) for share in STARTS]
-        if not self.simulator.states or origins[0] < SHORTEST:
+        if not self.simulator.states or origins[0] <= max(SHORT, window):
             return window if self.simulator.states else 0
         ends = [min(origin + samples // 6, samples) for origin in origins]
 
-        def error(forecasts: Sequence[Array]) -> float:
-            pairs = zip(origins, forecasts, strict=True)
-            parts = [experiment.y[at : at + len(y)] - y for at, y in pairs]
-            left = np.concatenate(parts) / self._adjusted().noise
-            return rmse(left, np.zeros_like(left))
+        def error(memory: int) -> float:
+            pairs = [*zip(origins, ends, strict=True)]
+            if memory:
+                ahead = [self._ahead(experiment.part(0, b), a, memory)[0] for a, b in pairs]
+            else:
+                whole = self._adjusted().response(experiment.time, experiment.u)[0]
+                ahead = [whole[a:b] for a, b in pairs]
+            left = [experiment.y[a:b] - y for (a, b), y in zip(pairs, ahead, strict=True)]
+            return float(np.sqrt(np.nanmean((np.concatenate(left) / self._adjusted().noise) ** 2)))
 
-        best = np.inf
-        if not window:
-            whole = self._adjusted().response(experiment.time, experiment.u)[0]
-            best = MAX_ERROR_SHARE * error([whole[a:b] for a, b in zip(origins, ends, strict=True)])
-        chosen, length = window, SHORTEST
-        while length <= min(window or samples, origins[0]):
-            try:
-                parts = ((experiment.part(0, b), a) for a, b in zip(origins, ends, strict=True))
-                found = error([self._ahead(part, a, length)[0] for part, a in parts])
-            except ValueError:
-                found = np.inf
-            if found < best:
-                best, chosen = found, length
-            length *= GROWTH
-        return chosen
+        try:
+            return SHORT if error(SHORT) < MAX_ERROR_SHARE * error(window) else window
+        except ValueError:
+            return window
 
 
 @final

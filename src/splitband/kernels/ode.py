@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from dis import get_instructions
+from dis import get_instructions, opmap
 from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -22,8 +22,9 @@ from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from splitband.kernels.common import kernel
-from splitband.kernels.terms import evaluate, gathered
+from splitband.kernels.terms import evaluate, gathered, put
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 Rhs = Callable[..., Any]
 
@@ -61,12 +62,15 @@ def solve(  # noqa: PLR0912, PLR0915  one loop, for Numba
     time: Array,
     inputs: tuple[Array, bool],
     steps: tuple[Array, float],
+    moves: tuple[bool, Array, Any],
     tolerances: tuple[float, float],
-) -> tuple[Array, Array, float]:
-    """Return the states at the times `time`, the steps taken, and the size of the next step.
+) -> tuple[Array, Array, float, Array]:
+    """Return the states at the times `time`, the steps, the next step size, and derivatives.
 
     The states are `(time, nx)`, NaN from the first missed tolerance or non-finite state on. Steps
-    are given by their ends, as shares of the interval between two samples.
+    are given by their ends, as shares of the interval between two samples. The derivatives,
+    `(time, nx, n)`, are those by the wanted parameters, by the initial state, and by the weights of
+    the terms, one after another; they go through the stages of each step exactly.
 
     Parameters
     ----------
@@ -79,19 +83,35 @@ def solve(  # noqa: PLR0912, PLR0915  one loop, for Numba
     inputs : `(time, nu)`, and whether to hold them between samples, else linear interpolation.
     steps : Steps to take, empty to choose them; and the size in s of the first trial step, 0 for
         the first interval.
+    moves : Whether to differentiate; steps of the differences by the wanted parameters, and the
+        places of these in `p`.
     tolerances : Relative and absolute tolerance of a step.
     """
     u, held = inputs
     schedule, size = steps
     rtol, atol = tolerances
     theta, scaling, layout = terms
-    nx, nu = initial.shape[0], u.shape[1]
-    z, w, nothing = np.empty(layout[:, 0].sum()), np.empty(layout[:, 2].sum()), np.empty((0, 0))
+    nx, nu, no = initial.shape[0], u.shape[1], layout[:, 2].sum()
+    (wanted, by_parameter, places), weights = moves, len(theta)
+    count = len(places)
+    z, w, nothing = np.empty(layout[:, 0].sum()), np.empty(no), np.empty((0, 0))
     states = np.full((time.shape[0], nx), np.nan)
     ends, taken = np.empty(max(len(schedule), 2 * time.shape[0])), 0
-    k, stage, now = np.empty((7, nx)), np.empty(nx), np.empty(nu)
+    k, stage, now, p = np.empty((7, nx)), np.empty(nx), np.empty(nu), p.copy()
     x = initial.copy()
     states[0] = x
+    # Of the right-hand side of each stage: by the state, by the parameters, and by w, and of w.
+    by_x, by_p, by_w = np.empty((6, nx, nx)), np.empty((6, nx, count)), np.empty((6, nx, no))
+    by_theta, by_z = np.empty((6, no, weights)), np.empty((no, len(z)))
+    through, sizes = np.empty((6, nx, nx)), np.full(nx, atol / rtol)
+    beside, moved = np.empty(len(z)), np.empty(nx)
+    total = count + nx + weights if wanted else 0
+    derivatives = np.full((time.shape[0] if wanted else 0, nx, total), np.nan)
+    whole, before, dx = np.empty((nx, nx)), np.empty((nx, total)), np.zeros((nx, total))
+    if wanted:
+        for j in range(nx):
+            dx[j, count + j] = 1.0
+        derivatives[0] = dx
     for n in range(time.shape[0] - 1):
         width = time[n + 1] - time[n]
         size = size if size > 0 else width
@@ -104,221 +124,139 @@ def solve(  # noqa: PLR0912, PLR0915  one loop, for Numba
                 end = 1.0 if end > 1.0 - SHORTEST else end
             tried += 1
             if not end - begin > SHORTEST or tried > MOST_STEPS:
-                return states, ends[:taken], size
+                return states, ends[:taken], size, derivatives
             h = (end - begin) * width
             for s in range(stages, 7):
                 for j in range(nx):
                     stage[j] = x[j]
                     for r in range(s):
                         stage[j] += h * WEIGHTS[s, r] * k[r, j]
-                share = begin + NODES[s] * (end - begin)
-                for j in range(nu):
-                    now[j] = u[n, j] if held else u[n, j] + share * (u[n + 1, j] - u[n, j])
-                if len(w):
-                    gather(stage, now, layout, z)
-                    evaluate(theta, scaling, layout, z, w, nothing, nothing)
-                rhs(time[n] + share * width, stage, now, p, w, k[s])
-            stages = 1
-            error = 0.0
-            for j in range(nx):  # the last stage is the new state
-                difference = 0.0
-                for r in range(7):
-                    difference += h * _ERRORS[r] * k[r, j]
-                error += (difference / (atol + rtol * max(abs(x[j]), abs(stage[j])))) ** 2
-            error = np.sqrt(error / nx)
-            if not len(schedule):
-                factor = 0.2 if np.isnan(error) else min(max(0.9 * error**-0.2, 0.2), 10.0)
-                # A step to the next sample may be shorter than the tolerances allow.
-                size = max(size, h * factor) if error <= 1.0 and end == 1.0 else h * factor
-            if len(schedule) or error <= 1.0:
-                if taken == len(ends):
-                    ends = np.concatenate((ends, np.empty(len(ends))))
-                ends[taken] = end
-                taken += 1
-                begin = end
-                x[:] = stage
-                k[0] = k[6]
-        if not np.isfinite(x).all():
-            break
-        states[n + 1] = x
-    return states, ends[:taken], size
-
-
-@register_jitable
-def axpy(factor: float, row: Array, out: Array) -> None:
-    """Add `factor` times a row to another one."""
-    for d in range(row.shape[0]):
-        out[d] += factor * row[d]
-
-
-@register_jitable
-def sensitivities(  # noqa: PLR0912, PLR0915  one loop, for Numba
-    rhs: Any,
-    gather: Any,
-    p: Array,
-    terms: tuple[Array, Array, Any],
-    initial: Array,
-    time: Array,
-    inputs: tuple[Array, bool],
-    schedule: Array,
-    moves: tuple[Array, Array, Any],
-) -> Array:
-    """Return the derivatives of the states of `solve`, with the same steps, `(time, nx, n)`.
-
-    They are those by the parameters, by the initial state, and by the weights of the terms, one
-    after another. They go through the stages of each step exactly; the right-hand side is
-    differentiated by differences, the terms are by their own derivatives. NaN from the end of the
-    schedule on.
-
-    Parameters
-    ----------
-    rhs, gather, p, terms, initial, time, inputs, schedule : As for `solve`.
-    moves : Steps of the differences by states `(nx,)` and by the wanted parameters, and the
-        places of these in `p`.
-    """
-    u, held = inputs
-    theta, scaling, layout = terms
-    by_state, by_parameter, wanted = moves
-    nx, nu, count = initial.shape[0], u.shape[1], len(wanted)
-    total = count + nx + len(theta)
-    z, w = np.empty(layout[:, 0].sum()), np.empty(layout[:, 2].sum())
-    by_z, by_theta = np.empty((len(w), len(z))), np.empty((len(w), len(theta)))
-    moved_z, by_x, by_w = z.copy(), np.empty((nx, nx)), np.empty((nx, len(w)))
-    derivatives = np.full((time.shape[0], nx, total), np.nan)
-    k, dk = np.empty((7, nx)), np.empty((7, nx, total))
-    stage, now, moved, dstage = np.empty(nx), np.empty(nu), np.empty(nx), np.empty((nx, total))
-    x, dx, p = initial.copy(), np.zeros((nx, total)), p.copy()
-    for j in range(nx):
-        dx[j, count + j] = 1.0
-    derivatives[0] = dx
-    taken = 0
-    for n in range(time.shape[0] - 1):
-        width = time[n + 1] - time[n]
-        begin, first = 0.0, 0
-        while begin < 1.0:
-            if taken >= len(schedule):
-                return derivatives
-            end = schedule[taken]
-            taken += 1
-            h = (end - begin) * width
-            for s in range(first, 7):
-                for j in range(nx):
-                    stage[j] = x[j]
-                    dstage[j] = dx[j]
-                    for r in range(s):
-                        factor = h * WEIGHTS[s, r]
-                        stage[j] += factor * k[r, j]
-                        if factor != 0.0:
-                            axpy(factor, dk[r, j], dstage[j])
+                if s == 6 and len(schedule) and end == 1.0:
+                    break  # its slope is for the error and the next step
                 share = begin + NODES[s] * (end - begin)
                 t = time[n] + share * width
                 for j in range(nu):
                     now[j] = u[n, j] if held else u[n, j] + share * (u[n + 1, j] - u[n, j])
-                if len(w):
+                if no:
                     gather(stage, now, layout, z)
-                    evaluate(theta, scaling, layout, z, w, by_z, by_theta)
+                    if wanted and s < 6:
+                        evaluate(theta, scaling, layout, z, w, by_z, by_theta[s])
+                    else:
+                        evaluate(theta, scaling, layout, z, w, nothing, nothing)
                 rhs(t, stage, now, p, w, k[s])
-                for o in range(len(w)):
-                    kept, step = w[o], 1e-6 * max(abs(w[o]), 1.0)
+                if not wanted or s == 6:
+                    continue
+                for o in range(no):
+                    kept, step = w[o], STEP * max(abs(w[o]), 1.0)
                     w[o] = kept + step
                     rhs(t, stage, now, p, w, moved)
                     w[o] = kept
                     for j in range(nx):
-                        by_w[j, o] = (moved[j] - k[s, j]) / step
+                        by_w[s, j, o] = (moved[j] - k[s, j]) / step
+                for i in range(count):
+                    kept, step = p[places[i]], by_parameter[i]
+                    p[places[i]] = kept + step
+                    rhs(t, stage, now, p, w, moved)
+                    p[places[i]] = kept
+                    for j in range(nx):
+                        by_p[s, j, i] = (moved[j] - k[s, j]) / step
                 for i in range(nx):
-                    kept, step = stage[i], by_state[i]
+                    sizes[i] = max(sizes[i], abs(stage[i]), abs(h * k[s, i]))
+                    kept, step = stage[i], STEP * sizes[i]
                     stage[i] = kept + step
                     rhs(t, stage, now, p, w, moved)
                     for j in range(nx):
-                        by_x[j, i] = (moved[j] - k[s, j]) / step
-                    if len(w):
-                        gather(stage, now, layout, moved_z)
+                        by_x[s, j, i] = (moved[j] - k[s, j]) / step
+                    if no:
+                        gather(stage, now, layout, beside)
                         for q in range(len(z)):
-                            slope = (moved_z[q] - z[q]) / step
-                            if slope != 0.0:
-                                for o in range(len(w)):
-                                    for j in range(nx):
-                                        by_x[j, i] += by_w[j, o] * by_z[o, q] * slope
+                            along = (beside[q] - z[q]) / step
+                            if along != 0.0:
+                                for j in range(nx):
+                                    for o in range(no):
+                                        by_x[s, j, i] += by_w[s, j, o] * by_z[o, q] * along
                     stage[i] = kept
-                for j in range(nx):
-                    for d in range(total):
-                        dk[s, j, d] = 0.0
-                    for i in range(nx):
-                        slope = by_x[j, i]
-                        if slope != 0.0:
-                            axpy(slope, dstage[i], dk[s, j])
-                    for o in range(len(w)):
-                        if by_w[j, o] != 0.0:
-                            axpy(by_w[j, o], by_theta[o], dk[s, j, count + nx :])
-                for i in range(count):
-                    kept, step = p[wanted[i]], by_parameter[i]
-                    p[wanted[i]] = kept + step
-                    rhs(t, stage, now, p, w, moved)
-                    p[wanted[i]] = kept
-                    for j in range(nx):
-                        dk[s, j, i] += (moved[j] - k[s, j]) / step
-            begin, first = end, 1
+            stages = 1
+            if not len(schedule):
+                error = 0.0
+                for j in range(nx):  # the last stage is the new state
+                    difference = 0.0
+                    for r in range(7):
+                        difference += h * _ERRORS[r] * k[r, j]
+                    error += (difference / (atol + rtol * max(abs(x[j]), abs(stage[j])))) ** 2
+                error = np.sqrt(error / nx)
+                factor = 0.2 if np.isnan(error) else min(max(0.9 * error**-0.2, 0.2), 10.0)
+                # A step to the next sample may be shorter than the tolerances allow.
+                size = max(size, h * factor) if error <= 1.0 and end == 1.0 else h * factor
+                if not error <= 1.0:
+                    continue
+            if taken == len(ends):
+                ends = np.concatenate((ends, np.empty(len(ends))))
+            ends[taken] = end
+            taken += 1
+            begin = end
             x[:] = stage
-            dx[:] = dstage
             k[0] = k[6]
-            dk[0] = dk[6]
-        derivatives[n + 1] = dx
-    return derivatives
+            if wanted:
+                stages = 0
+                carry(h, through, whole, by_x, by_p, by_w, by_theta, before, dx)
+        if not np.isfinite(x).all():
+            break
+        states[n + 1] = x
+        if wanted:
+            derivatives[n + 1] = dx
+    return states, ends[:taken], size, derivatives
 
 
-def derivatives(
-    rhs: Any,
-    gather: Any,
-    p: Array,
-    terms: tuple[Array, Array, Any],
-    initial: Array,
-    time: Array,
-    inputs: tuple[Array, bool],
-    widths: tuple[Array, Any],
-    tolerances: tuple[float, float],
-) -> tuple[Array, Array, Array, Array]:
-    """Return the states of `solve`, their `sensitivities`, and a run beside them.
+@register_jitable(forceinline=True)
+def carry(  # noqa: PLR0912  for Numba
+    h: float,
+    through: Array,
+    whole: Array,
+    by_x: Array,
+    by_p: Array,
+    by_w: Array,
+    by_theta: Array,
+    before: Array,
+    after: Array,
+) -> None:
+    """Carry the derivatives of a state over a step of size `h`.
 
-    The run beside them, by the same steps, has parameters, initial state and weights that are moved
-    by `steps`; it is returned less the states. An equation that jumps has other derivatives than
-    its right-hand side, and this run tells.
-
-    Parameters
-    ----------
-    rhs, gather, p, terms, initial, time, inputs, tolerances : As for `solve`.
-    widths : Ranges of the wanted parameters, with the sign of steps within them, and the places of
-        these parameters in `p`.
+    `through` is what the slopes of the stages do to the new state, which is followed from the last
+    stage back to the first one: so the weights are met once a step, not in all combinations of
+    stages.
     """
-    x, ends, _ = solve(rhs, gather, p, terms, initial, time, inputs, (np.empty(0), 0.0), tolerances)
-    by_parameter, wanted = STEP * widths[0], widths[1]
-    nx, count = len(initial), len(wanted)
-    sizes = np.zeros(nx)
-    for n in range(len(x)):
+    nx, count, no = by_p.shape[1], by_p.shape[2], by_w.shape[2]
+    first, total = count + nx, after.shape[1]
+    for j in range(nx):
+        for i in range(nx):
+            whole[j, i] = 1.0 if i == j else 0.0
+        for d in range(total):
+            before[j, d] = after[j, d]
+            after[j, d] = 0.0
+    for s in range(5, -1, -1):
         for j in range(nx):
-            if np.isfinite(x[n, j]):
-                sizes[j] = max(sizes[j], abs(x[n, j]))
-    sizes = np.where(sizes > 0.0, sizes, 1.0)
-    moves = STEP * sizes, by_parameter, wanted
-    dx = sensitivities(rhs, gather, p, terms, initial, time, inputs, ends, moves)
-    steps = np.empty(dx.shape[2])
-    for d in range(len(steps)):
-        most = 1e-300
-        for n in range(len(dx)):
-            for j in range(nx):
-                most = max(most, abs(dx[n, j, d]) / sizes[j])
-        steps[d] = STEP / most if d % 2 else -STEP / most
-        if d < count:
-            steps[d] = np.sign(by_parameter[d]) * min(abs(steps[d]), abs(by_parameter[d]))
-        elif d >= count + nx:
-            steps[d] = min(max(steps[d], -STEP), STEP)
-    theta, scaling, layout = terms
-    moved = p.copy()
-    for d in range(count):
-        moved[wanted[d]] += steps[d]
-    beside = initial + steps[count : count + nx]
-    shifted = theta + steps[count + nx :], scaling, layout
-    apart, _, _ = solve(rhs, gather, moved, shifted, beside, time, inputs, (ends, 0.0), tolerances)
-    return x, dx, steps, apart - x
+            for i in range(nx):
+                slope = WEIGHTS[6, s] if i == j else 0.0
+                for r in range(s + 1, 6):
+                    for m in range(nx):
+                        slope += WEIGHTS[r, s] * through[r, j, m] * by_x[r, m, i]
+                through[s, j, i] = h * slope
+            for m in range(nx):
+                for i in range(nx):
+                    whole[j, i] += through[s, j, m] * by_x[s, m, i]
+                for i in range(count):
+                    after[j, i] += through[s, j, m] * by_p[s, m, i]
+            for o in range(no):
+                slope = 0.0
+                for m in range(nx):
+                    slope += through[s, j, m] * by_w[s, m, o]
+                for d in range(total - first):
+                    after[j, first + d] += slope * by_theta[s, o, d]
+    for j in range(nx):
+        for i in range(nx):
+            for d in range(total):
+                after[j, d] += whole[j, i] * before[i, d]
 
 
 @overload(np.clip, strict=False)
@@ -344,17 +282,18 @@ _EQUATION = (
 )
 """Types of the arguments that the kernels share. Functions are passed as pointers,
 so that the kernels are compiled once for all equations."""
-_SOLVE = _T.Tuple((_ROWS, _ROW, _T.f8))(*_EQUATION, _T.Tuple((_ROW, _T.f8)), _T.UniTuple(_T.f8, 2))
-_DERIVATIVES = _T.Tuple((_ROWS, _CUBE, _ROW, _ROWS))(
-    *_EQUATION, _T.Tuple((_ROW, _PLACES)), _T.UniTuple(_T.f8, 2)
+_MOVES = _T.Tuple((_T.boolean, _ROW, _PLACES))
+_SOLVE = _T.Tuple((_ROWS, _ROW, _T.f8, _CUBE))(
+    *_EQUATION, _T.Tuple((_ROW, _T.f8)), _MOVES, _T.UniTuple(_T.f8, 2)
 )
+_UNMOVED: Any = False, np.empty(0), np.empty(0, dtype=np.int64)
 
 
 @cache
-def _compiled(function: Any, signature: Any) -> Any:
-    """Return a kernel, compiled for a signature, from the disk if it is there."""
-    made: Any = kernel(function, fastmath=False)
-    made.compile(signature)
+def compiled() -> Any:
+    """Return `solve` for any equation, compiled, from the disk if it is there."""
+    made: Any = kernel(solve, fastmath=False)
+    made.compile(_SOLVE)
     made.disable_compile()
     return made
 
@@ -383,12 +322,26 @@ class Solver:
         inputs: tuple[Array, bool],
         steps: tuple[Array, float],
         tolerances: tuple[float, float],
-    ) -> tuple[Array, Array, float]:
+        moves: Any = _UNMOVED,
+    ) -> tuple[Array, Array, float, Array]:
         """Return the result of `solve`; `p` are named parameters, or these and unknown terms."""
-        solution: tuple[Array, Array, float] = self._run(
-            solve, _SOLVE, p, initial, time, inputs, steps, tolerances
-        )
-        self.taken += len(solution[1])
+        # Arrays of a record cannot be written to, which is another type for Numba.
+        time, u = (np.require(each, float, ("C", "W")) for each in (time, inputs[0]))
+        given: Any = initial, time, (u, inputs[1]), steps, moves, tolerances
+        named, terms = p if self.arguments == 5 else (p, _NO_TERMS)
+        p, kind = np.array(named, dtype=float), type(named)
+        with np.errstate(all="ignore"):
+            if self.tried and self.kept != self._referred():
+                self.compiled, self.taken, self.tried = {}, 0, False
+            if self.taken > WORTH_COMPILING and not self.tried:
+                self._compile(kind, p, terms, given)
+            if (fast := self.compiled.get(kind)) is None and self.compiled:
+                fast = self.compiled[kind] = self._functions(kind, len(p), fast=True)
+            function: Any = solve if fast is None else compiled()
+            solution: tuple[Array, Array, float, Array] = function(
+                *(fast or self._functions(kind, len(p))), p, terms, *given
+            )
+        self.taken += len(solution[1]) * (5 if moves[0] else 1)
         return solution
 
     def derivatives(
@@ -400,32 +353,37 @@ class Solver:
         widths: tuple[Array, Any],
         tolerances: tuple[float, float],
     ) -> tuple[Array, Array, Array, Array]:
-        """Return the result of `derivatives`."""
-        found: tuple[Array, Array, Array, Array] = self._run(
-            derivatives, _DERIVATIVES, p, initial, time, inputs, widths, tolerances
-        )
-        self.taken += 10 * len(time)
-        return found
+        """Return the states of `solve`, their derivatives, and a run beside them.
 
-    def _run(
-        self, function: Any, signature: Any, p: Any, initial: Array, time: Array, *rest: Any
-    ) -> Any:
-        """Return the result of a kernel, compiled or not."""
-        # Arrays of a record cannot be written to, which is another type for Numba.
-        time, u = (np.require(each, float, ("C", "W")) for each in (time, rest[0][0]))
-        given: Any = (time, (u, rest[0][1]), *rest[1:])
+        The run beside them, by the same steps, has parameters, initial state and weights that are
+        moved by `steps`; it is returned less the states. An equation that jumps has other
+        derivatives than its right-hand side, and this run tells.
+
+        Parameters
+        ----------
+        p, initial, time, inputs, tolerances : As for a call.
+        widths : Ranges of the wanted parameters, with the sign of steps within them, and the
+            places of these parameters in `p`.
+        """
+        moves = True, STEP * widths[0], widths[1]
+        x, ends, _, dx = self(p, initial, time, inputs, (np.empty(0), 0.0), tolerances, moves)
+        sizes = np.nanmax(np.abs(x), axis=0)
+        sizes = np.where(sizes > 0.0, sizes, 1.0)
+        count, states = len(widths[1]), len(widths[1]) + len(initial)
+        most = np.nanmax(np.abs(dx), axis=0)
+        most = np.maximum((most / sizes[:, None]).max(axis=0), 1e-300)
+        steps = STEP / most * np.where(np.arange(len(most)) % 2, 1.0, -1.0)
+        steps[:count] = np.sign(widths[0]) * np.minimum(np.abs(steps[:count]), np.abs(moves[1]))
+        steps[states:] = np.clip(steps[states:], -STEP, STEP)
         named, terms = p if self.arguments == 5 else (p, _NO_TERMS)
-        p, kind = np.array(named, dtype=float), type(named)
-        with np.errstate(all="ignore"):
-            if self.tried and self.kept != self._referred():
-                self.compiled, self.taken, self.tried = {}, 0, False
-            if self.taken > WORTH_COMPILING and not self.tried:
-                self._compile(kind, p, terms, initial, given)
-            if (fast := self.compiled.get(kind)) is None and self.compiled:
-                fast = self.compiled[kind] = self._functions(kind, len(p), fast=True)
-            if fast is not None:
-                return _compiled(function, signature)(*fast, p, terms, initial, *given)
-            return function(*self._functions(kind, len(p)), p, terms, initial, *given)
+        values = np.array(named, dtype=float)
+        values[widths[1]] += steps[:count]
+        beside = type(named)(*values) if count else named
+        if self.arguments == 5:
+            beside = beside, (terms[0] + steps[states:], *terms[1:])
+        begin = initial + steps[count:states]
+        apart, *_ = self(beside, begin, time, inputs, (ends, 0.0), tolerances)
+        return x, dx, steps, apart - x
 
     def _functions(self, kind: Any, count: int, fast: bool = False) -> tuple[Any, Any]:
         """Return `rhs` and `gather` of the kernels for a class of named parameters."""
@@ -433,21 +391,23 @@ class Solver:
             named = _flat(_with_five(self.rhs, self.arguments), kind, count, _numbers)
             return named, gathered(self.of)
         made: Any = njit(**_OPTIONS)
-        rhs = made(getattr(self.rhs, "py_func", self.rhs))
+        rhs = made(_with_tuples(getattr(self.rhs, "py_func", self.rhs)))
         named = rhs if self.arguments == 5 else made(_with_five(rhs, self.arguments))
         flat = _flat(named, kind, count, to_fixed_tuple)
-        return njit(_RHS, **_OPTIONS)(flat), _pointer(gathered(self.of, made))
+        return njit(_RHS, **_OPTIONS)(flat), _pointer(
+            gathered(self.of, lambda f: made(_with_tuples(f)))
+        )
 
-    def _compile(self, kind: Any, p: Array, terms: Any, initial: Array, given: Any) -> None:
+    def _compile(self, kind: Any, p: Array, terms: Any, given: Any) -> None:
         """Use compiled code, without checks of indices, if it agrees on a short simulation."""
         self.tried, self.kept = True, self._referred()
-        time, (u, held), tolerances = given[0], given[1], given[-1]
-        few = time[:3], (u[:3], held), (np.empty(0), 0.0)
+        initial, time, (u, held), *_, tolerances = given
+        few = time[:3], (u[:3], held), (np.empty(0), 0.0), _UNMOVED
         probe: Any = (p, terms, initial, *few, tolerances)
         expected = solve(*self._functions(kind, len(p)), *probe)[0]
         try:
             fast = self._functions(kind, len(p), fast=True)
-            states = _compiled(solve, _SOLVE)(*fast, *probe)[0]
+            states = compiled()(*fast, *probe)[0]
         except Exception as error:  # code without support in Numba
             lines = [line for line in str(error).splitlines() if not line.startswith("Failed in")]
             reason = next(iter(lines), "") or type(error).__name__
@@ -470,8 +430,11 @@ class Solver:
 
 
 @cache
-def solver(rhs: Rhs, arguments: int, of: tuple[Rhs | None, ...] = ()) -> Solver:
-    """Return the common solver of an equation."""
+def solver(rhs: Rhs, arguments: int, of: tuple[Rhs | None, ...] = (), outputs: int = 0) -> Solver:
+    """Return the common solver of an equation whose terms have so many outputs.
+
+    Compiled code does not check indices: another number of outputs is run in Python first.
+    """
     return Solver(rhs, arguments, of)
 
 
@@ -481,17 +444,36 @@ def _flat(rhs: Rhs, kind: Any, count: int, numbers: Any) -> Rhs:
 
         def without(t: float, x: Array, u: Array, p: Array, w: Array, out: Array) -> None:
             slope = rhs(t, x, u, (), w)
-            for j in range(len(out)):
-                out[j] = slope[j]
+            if len(slope) != len(out):
+                raise InputError("rhs must return a number for each state")
+            put(slope, out, 0)
 
         return without
 
     def flat(t: float, x: Array, u: Array, p: Array, w: Array, out: Array) -> None:
         slope = rhs(t, x, u, kind(*numbers(p, count)), w)
-        for j in range(len(out)):
-            out[j] = slope[j]
+        if len(slope) != len(out):
+            raise InputError("rhs must return a number for each state")
+        put(slope, out, 0)
 
     return flat
+
+
+def _with_tuples(function: Any) -> Any:
+    """Return a function whose literal lists are returned as tuples, which need no memory."""
+    if not isinstance(function, FunctionType):
+        return function
+    code = bytearray(function.__code__.co_code)
+    for i in range(0, len(code) - 2, 2):
+        if code[i] == opmap["BUILD_LIST"] and code[i + 2] == opmap["RETURN_VALUE"]:
+            code[i] = opmap["BUILD_TUPLE"]
+    return FunctionType(
+        function.__code__.replace(co_code=bytes(code)),
+        function.__globals__,
+        function.__name__,
+        function.__defaults__,
+        function.__closure__,
+    )
 
 
 def _numbers(p: Array, _count: int) -> list[float]:

@@ -10,8 +10,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numba import literal_unroll, types
+from numba.extending import overload
 
-from splitband.kernels.common import kernel, tanh, tanh_of
+from splitband.kernels.common import kernel, tanh
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
@@ -42,55 +44,33 @@ def evaluate(  # noqa: PLR0912, PLR0915  one loop, for Numba
     if wanted:
         by_z[:] = 0.0
         by_theta[:] = 0.0
+    units, scaled = np.empty(len(theta)), np.empty(len(z))
     t = s = at = out = 0  # positions in theta, in the scaling, in z and in w
     for term in range(len(layout)):
         nq, nh, no, odd, increasing, bounded = layout[term]
         bias, second = t + nh * nq, t + nh * nq + nh
         last = second + no * nh
-        units = np.empty(2 * nh if odd else nh)  # for z, and of an odd term for -z
+        for q in range(nq):
+            held = min(max(z[at + q], scaling[s + 2 * nq + q]), scaling[s + 3 * nq + q])
+            scaled[q] = (held - scaling[s + q]) / scaling[s + nq + q]
         for h in range(nh):
             total = 0.0
             for q in range(nq):
-                held = min(max(z[at + q], scaling[s + 2 * nq + q]), scaling[s + 3 * nq + q])
                 weight = theta[t + h * nq + q]
-                weight = weight * weight if increasing else weight
-                total += weight * (held - scaling[s + q]) / scaling[s + nq + q]
-            units[h] = theta[bias + h] + total
-            if odd:
-                units[nh + h] = theta[bias + h] - total
-        tanh_of(units)
+                total += (weight * weight if increasing else weight) * scaled[q]
+            units[2 * h] = theta[bias + h] + total  # for z, and of an odd term for -z
+            units[2 * h + 1] = odd * (theta[bias + h] - total)
+        for i in range(2 * nh):
+            units[i] = tanh(units[i])
         for o in range(no):
-            total = theta[last + o] if nh and not odd else 0.0
+            value = theta[last + o] if nh and not odd else 0.0
             for h in range(nh):
                 weight = theta[second + o * nh + h]
-                weight = weight * weight if increasing else weight
-                total += weight * (units[h] - units[nh + h] if odd else units[h])
-            w[out + o] = total
-            if not wanted:
-                continue
-            if nh and not odd:
-                by_theta[out + o, last + o] = 1.0
-            for h in range(nh):
-                given, above = theta[second + o * nh + h], units[h]
-                below, slope = (units[nh + h], 1.0) if odd else (0.0, 0.0)
-                above_slope, below_slope = 1.0 - above * above, slope * (1.0 - below * below)
-                weight, factor = (given * given, 2.0 * given) if increasing else (given, 1.0)
-                by_theta[out + o, second + o * nh + h] = factor * (above - below)
-                by_theta[out + o, bias + h] = weight * (above_slope - below_slope)
-                slope = weight * (above_slope + below_slope)
-                for q in range(nq):
-                    low, high = scaling[s + 2 * nq + q], scaling[s + 3 * nq + q]
-                    held, width = min(max(z[at + q], low), high), scaling[s + nq + q]
-                    inner = theta[t + h * nq + q]
-                    weight, factor = (inner * inner, 2.0 * inner) if increasing else (inner, 1.0)
-                    by_theta[out + o, t + h * nq + q] = (
-                        slope * factor * (held - scaling[s + q]) / width
-                    )
-                    if low <= z[at + q] <= high:
-                        by_z[out + o, at + q] += slope * weight / width
-        for o in range(no):
-            scale, factor = scaling[s + 4 * nq + o], scaling[s + 4 * nq + o]
-            value = w[out + o] * scale
+                value += (weight * weight if increasing else weight) * (
+                    units[2 * h] - units[2 * h + 1]
+                )
+            factor = scaling[s + 4 * nq + o]
+            value *= factor
             if bounded:
                 low, high = scaling[s + 4 * nq + no], scaling[s + 4 * nq + no + 1]
                 half, middle = 0.5 * (high - low), 0.5 * (high + low)
@@ -98,15 +78,50 @@ def evaluate(  # noqa: PLR0912, PLR0915  one loop, for Numba
                 steep = 1.0 / (half * (1.0 - zero * zero))
                 squashed = tanh(np.arctanh(zero) + value * steep)
                 value = middle + half * squashed
-                factor = scale * half * steep * (1.0 - squashed * squashed)
+                factor *= half * steep * (1.0 - squashed * squashed)
             w[out + o] = value
-            if wanted:
-                by_z[out + o] *= factor
-                by_theta[out + o] *= factor
+            if not wanted:
+                continue
+            if nh and not odd:
+                by_theta[out + o, last + o] = factor
+            for h in range(nh):
+                weight, above, below = theta[second + o * nh + h], units[2 * h], units[2 * h + 1]
+                weight, double = (weight * weight, 2.0 * weight) if increasing else (weight, 1.0)
+                rise, fall = 1.0 - above * above, odd * (1.0 - below * below)
+                by_theta[out + o, second + o * nh + h] = factor * double * (above - below)
+                by_theta[out + o, bias + h] = factor * weight * (rise - fall)
+                slope = factor * weight * (rise + fall)
+                for q in range(nq):
+                    inner = theta[t + h * nq + q]
+                    inner, double = (inner * inner, 2.0 * inner) if increasing else (inner, 1.0)
+                    by_theta[out + o, t + h * nq + q] = slope * double * scaled[q]
+                    by_z[out + o, at + q] += slope * inner
+            for q in range(nq):
+                within = scaling[s + 2 * nq + q] <= z[at + q] <= scaling[s + 3 * nq + q]
+                by_z[out + o, at + q] *= (1.0 if within else 0.0) / scaling[s + nq + q]
         t = last if odd or not nh else last + no
         s += 4 * nq + no + 2
         at += nq
         out += no
+
+
+def put(values: Any, out: Any, at: Any) -> Any:
+    """Write values into an array from a place on."""
+    for j in range(len(values)):
+        out[at + j] = values[j]
+
+
+@overload(put)
+def _put(values: Any, out: Any, at: Any) -> Any:
+    if not isinstance(values, types.BaseTuple):
+        return put
+
+    def each(values: Any, out: Any, at: Any) -> Any:
+        for value in literal_unroll(values):
+            out[at] = value
+            at += 1
+
+    return each
 
 
 def all_of(x: Array, u: Array) -> Array:
@@ -119,7 +134,8 @@ def gathered(of: Sequence[Function | None], compiled: Function = lambda f: f) ->
 
     Parameters
     ----------
-    of : The function `of(x, u)` of each term; None for `all_of`.
+    of : The function `of(x, u)` of each term, or one with the `places` of states and inputs; None
+        for `all_of`.
     compiled : Called with each function; by default they are run as they are.
     """
 
@@ -128,7 +144,11 @@ def gathered(of: Sequence[Function | None], compiled: Function = lambda f: f) ->
 
     gather = compiled(nothing)
     for term, function in enumerate(of):
-        gather = compiled(_appended(gather, compiled(function or all_of), term))
+        places = getattr(function, "places", None)
+        if places is None:
+            gather = compiled(_appended(gather, compiled(function or all_of), term))
+        else:
+            gather = compiled(_chosen(gather, np.array(places), term))
     return gather
 
 
@@ -139,8 +159,18 @@ def _appended(before: Function, of: Function, term: int) -> Function:
             quantities = of(x, u)
             if len(quantities) != count:
                 raise InputError("of must return as many quantities as in training")
-            for q in range(count):
-                z[at + q] = quantities[q]
+            put(quantities, z, at)
         return int(at + count)
+
+    return gather
+
+
+def _chosen(before: Function, places: Array, term: int) -> Function:
+    def gather(x: Array, u: Array, layout: Any, z: Array) -> int:
+        at = before(x, u, layout, z)
+        for q in range(layout[term, 0]):
+            place = places[q]
+            z[at + q] = x[place] if place < len(x) else u[place - len(x)]
+        return int(at + layout[term, 0])
 
     return gather

@@ -11,22 +11,22 @@ leaves the choice.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.simulators.shooting import Experiment, Shooting
 from splitband.simulators.unknown import Trained, packed
 
-DECAYS = 1e-3, 1e-2, 1e-1
+DECAYS = 1e-3, 1e-1, 1e1, 1e3
 """Weight decays that are tried: squared weights of these sizes count as an error of one deviation
 of the noise in one sample. By eye."""
 MEMBERS = 4
 """Trainings from different weights. Bounds the time."""
 AS_GOOD = 1.1
-"""Largest error of a further training that is kept, by the least one. By eye."""
+"""Largest held-out error of a further training that is kept, by the least one. By eye."""
 HELD_OUT = 0.25
 """Share of the samples of a record, its last ones, by which the weight decay is chosen. By eye."""
 _TAKEN = 0.1
@@ -95,14 +95,9 @@ def prior(shooting: Shooting, unknowns: Array, path: Sequence[Array], decay: flo
     return residuals
 
 
-def held_out(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Return the experiments with gaps in place of their last samples."""
-    masked = []
-    for each in experiments:
-        y = each.y.copy()
-        y[int((1 - HELD_OUT) * len(y)) :] = np.nan
-        masked.append(replace(each, y=y))
-    return masked
+def beginnings(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """Return the experiments without their last samples, which are held out."""
+    return [each.part(0, int((1 - HELD_OUT) * len(each.y))) for each in experiments]
 
 
 def held(shooting: Shooting, path: Sequence[Array]) -> tuple[Trained, ...]:
@@ -155,10 +150,15 @@ def _gains(simulator: Any, points: Sequence[Any], sizes: Array) -> Array:
     zero = np.zeros(sum(term.outputs for term in simulator.terms))
     at = np.array([_slope(simulator, point, zero) for point in points])
     scales = []
-    for unit in np.eye(len(zero)):
+    for output, unit in enumerate(np.eye(len(zero))):
         change = np.array([_slope(simulator, point, unit) for point in points]) - at
         own, by = (np.sqrt(np.nanmean(each**2, axis=0)) for each in (at, change))
         some = by > 0
+        if not some.any():
+            raise InputError(
+                f"outputs of unknown terms must each be in the equation: w[{output}] changes "
+                "nothing along the record; use it in rhs, or give fewer outputs"
+            )
         scales.append(float(np.min(own[some] / by[some], initial=np.inf)))
     return np.array([scale if np.isfinite(scale) and scale > 0 else 1.0 for scale in scales])
 

@@ -17,8 +17,8 @@ import numpy as np
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import scan
+from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.functions import Ode
-from splitband.simulators.shooting import Adjusted
 from splitband.simulators.user_code import count_arguments, failure
 
 PRECISE = 1e-11, 1e-13

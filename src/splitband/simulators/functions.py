@@ -357,8 +357,14 @@ class Ode(UserCode):
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Solve at the times `time` in s, with the inputs `(time, nu)`.
 
-        A parameter with a range takes the middle. Raises RuntimeError for an unsolvable equation.
+        A parameter with a range takes the middle. Raises RuntimeError for an unsolvable equation,
+        and ValueError for one with unknown terms that are not trained.
         """
+        if any(term.free for term in self.terms):
+            raise InputError(
+                "unknown terms must be trained before a simulation, as sb.GreyBox(ode).fit(record) "
+                "does (--method grey-box), or be left out, ode.without_terms()"
+            )
         (y, x), *_ = self.respond(time, u, [(self.known.middle(), None)])
         if not np.isfinite(x).all():
             bad = int(np.argmin(np.isfinite(x).all(axis=1)))
@@ -423,8 +429,8 @@ class Ode(UserCode):
         u = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
         begin = np.array(self.initial(values) if state is None else state, dtype=float)
         if self.method == "RK45":
-            solve, p = self._solver(values)
-            x, taken, size = solve(p, begin, time, (u, self.hold == "zoh"), steps, self.tolerances)
+            (solve, p), inputs = self._solver(values), (u, self.hold == "zoh")
+            x, taken, size, _ = solve(p, begin, time, inputs, steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
         return self._observed(x, u, values), x, taken, size
@@ -468,7 +474,8 @@ class Ode(UserCode):
         terms, p = self.resolved_terms, self.p(values)
         of = tuple(term.of for term in terms)
         arguments = count_arguments(self.rhs) or 2
-        return solver(self.rhs, arguments, of), (p, packed(terms)) if of else p
+        outputs = sum(term.outputs for term in terms)
+        return solver(self.rhs, arguments, of, outputs), (p, packed(terms)) if of else p
 
     @property
     def _states(self) -> list[str]:

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -23,8 +22,17 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
-from splitband.simulators.augmentation import AS_GOOD, DECAYS, MEMBERS, begun, held, held_out, prior
+from splitband.simulators.augmentation import (
+    AS_GOOD,
+    DECAYS,
+    MEMBERS,
+    beginnings,
+    begun,
+    held,
+    prior,
+)
 from splitband.simulators.base import matched
+from splitband.simulators.least_squares import BAD, minimise
 from splitband.simulators.parameters import (
     MIN_NOISE,
     Adjustable,
@@ -35,25 +43,20 @@ from splitband.simulators.parameters import (
     uncertainty,
 )
 from splitband.simulators.shooting import (
-    BAD,
     GROWTH,
     MOST_GROWTH,
     Compared,
     Experiment,
     Shooting,
-    minimise,
 )
 from splitband.simulators.unknown import Trained
 from splitband.simulators.user_code import failure
 
-STARTS = 32
+STARTS = 16
 """Default limit of starting points. Bounds the time."""
 ENOUGH = 4
 """Number of starts with equal errors at the end of the search, and of starts in a batch, for any
 number of processes, so that results do not depend on it. Bounds the time."""
-PATIENCE, _HARDLY_BETTER = 8, 0.02
-"""Number of last starts, and their gain as a share of the error, at the end of the search. Bounds
-the time."""
 SAME_ERROR = 1e-3
 """Relative difference of equal errors. Rounding."""
 SHORTEST, _WINDOWS = 16, 32
@@ -61,7 +64,7 @@ SHORTEST, _WINDOWS = 16, 32
 WORTH_PROCESSES = 10.0
 """Seconds of the first start from which on the others run in processes of their own, which have to
 start and to compile the equation. Bounds the time."""
-_ROUNDS, LAST_ROUNDS = 30, 100
+_ROUNDS, LAST_ROUNDS = 30, 300
 """Largest number of steps in a search, and in the last search from the best values. Bounds the
 time."""
 _PULL = 1e-6
@@ -80,9 +83,6 @@ LEAST_SLACK = 1e-2
 """Least slack between windows, see `Shooting`. Rounding."""
 _SAME_PLACE = 0.02
 """Distance of equal values, as a share of a range. By eye."""
-WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3
-"""Least error of a simulation of whole records, in deviations, with windows as an alternative, and
-the largest error of useful windows, as a share of the first error. By eye."""
 _DEFECTS = (NameError, AttributeError, ImportError)
 """Errors of code, independent of parameter values."""
 
@@ -98,6 +98,14 @@ class Fit:
     error: float
     sizes: Array
     noise: Array
+
+
+class Training(NamedTuple):
+    """A fit in windows of some length, with the comparison that it is of."""
+
+    shooting: Shooting
+    length: int
+    fit: Fit
 
 
 @dataclass(frozen=True)
@@ -165,13 +173,17 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
         raise InputError(f"simulator must run for some parameters in their ranges: {reason}")
-    window = _window(outcomes, longest)
+    window, remarks = _window(outcomes), list[str]()
     ranked = sorted((o.found[window].error, o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
     fit, members = best.found[window], tuple[Trained, ...]()
-    if any(term.free for term in simulator.terms) and not deadline.over:
-        with suppress(DeadlineError), within(min(current(), deadline)):
-            shooting, window, fit, members = _augmented(shooting, best.found, effort.seed)
+    if any(term.free for term in simulator.terms):
+        try:
+            with within(min(current(), deadline)):
+                training, members, remarks = _augmented(shooting, window, best.found, effort.seed)
+                shooting, window, fit = training
+        except DeadlineError:
+            remarks = ["the time was over before the unknown terms were trained: they are left out"]
     with within(NEVER):  # the result is evaluated even after the deadline
         precise = shooting.of(simulator.precise())
         # The solver may not be able to keep smaller tolerances.
@@ -196,7 +208,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         "the time was over before every starting point was tried": cut,
         f"simulated in windows of {window} samples, {lost_whole}": window < longest,
     }
-    remarks = [*estimate.remarks]
+    remarks += estimate.remarks
     if not shooting.trained.any():
         remarks += _alternatives(shooting, outcomes, window, estimate, fit)
     if shooting.names:
@@ -244,73 +256,81 @@ def check_runs(simulator: Any, record: Record) -> Any:
     ) from reason
 
 
-def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
-    """Return the longest windows to which the best start goes on.
-
-    Or shorter ones, if they fit far better.
-    """
-    lengths = sorted({n for outcome in outcomes for n in outcome.found})
-    best = {}
-    for n in lengths:
-        ran = [o for o in outcomes if n in o.found]
-        start = min(ran, key=lambda o: o.found[n].error)
-        best[n] = start.found[n].error
-        if max(start.found) == n:
-            break
-    chosen = max(best)
-    if chosen < longest or best[chosen] < WINDOWS_FROM_ERROR:
-        return chosen
-    return next(
-        (n for n in sorted(best)[-2::-1] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen
-    )
+def _window(outcomes: Sequence[StartOutcome]) -> int:
+    """Return the longest windows to which the best start goes on."""
+    for n in sorted({n for outcome in outcomes for n in outcome.found}):
+        best = min((o for o in outcomes if n in o.found), key=lambda o: o.found[n].error)
+        if max(best.found) == n:
+            return n
+    raise AssertionError
 
 
 def _augmented(
-    alone: Shooting, found: Mapping[int, Fit], seed: int
-) -> tuple[Shooting, int, Fit, tuple[Trained, ...]]:
-    """Train unknown terms from the fits without them; return the best training, and others as good.
+    alone: Shooting, window: int, found: Mapping[int, Fit], seed: int
+) -> tuple[Training, tuple[Trained, ...], list[str]]:
+    """Train unknown terms from the fits without them; return the best training.
 
-    It is returned as comparison, length of the windows and fit.
+    Also return the states of terms of others as good, and remarks. Weight decays, trainings from
+    other weights, and to have no term at all, are compared by a simulation of the last samples of
+    the records, which are held out; then the training goes on with all samples.
     """
-    length = min(found)
-    path = alone.restored(length, found[length]).path
-    fractions, noise = found[length].unknowns[: len(alone.names)], alone.noise
-    lengths = [n for n in _lengths(alone) if n > length]
+    shortest = min(found)
+    fit = found[shortest]
+    fractions, path = fit.unknowns[: len(alone.names)], alone.restored(shortest, fit).path
+    first = beginnings(alone.experiments)
+    known = [x[: len(each.y)] for x, each in zip(path, first, strict=True)]
 
-    def trained(experiments: Sequence[Experiment], decay: float, seed: int) -> Any:
-        """Return error, comparison, length and fit of a training."""
-        alone.noise = noise
-        simulator, which = begun(alone, fractions, path, seed)
-        shooting = Shooting(simulator, experiments, alone.scale)
-        shooting.trained, shooting.noise, shooting.sizes = which, noise, alone.sizes
-        common = np.concatenate([fractions, simulator.weights[which]])
-        fits = [*grown(shooting, common, [length, *lengths], path, decay)]
-        return (fits[-1][1].error, shooting, *fits[-1]) if fits else None
+    def trained(
+        shooting: Shooting, common: Array, path: Sequence[Array], most: float = np.inf
+    ) -> list[Training]:
+        """Return the trainings in windows that grow, from parameters, weights and states."""
+        lengths = [shortest, *(n for n in _lengths(shooting) if shortest < n <= most)]
+        return [Training(shooting, *each) for each in grown(shooting, common, lengths, path)]
 
-    def ahead(decay: float) -> float:
-        """Return the error on held-out samples."""
-        masked = held_out(alone.experiments)
-        tried = trained(masked, decay, seed)
-        if tried is None:
-            return np.inf
-        _, shooting, length, fit = tried
-        shooting.experiments = alone.experiments
-        whole = np.concatenate(shooting.restored(length, fit).errors)
-        shooting.experiments = masked
-        gaps = np.isnan(np.concatenate(shooting.restored(length, fit).errors))
-        return float(np.sqrt(np.nanmean(np.where(gaps, whole, np.nan) ** 2)))
+    def tried(decay: float | None, seed: int) -> tuple[float, Training | None]:
+        """Return the error on held-out samples of a training on the others; None is for no term."""
+        shooting, common = alone.of(alone.simulator, first), fractions
+        shooting.noise, shooting.sizes = fit.noise, fit.sizes
+        if decay is not None:
+            shooting.simulator, shooting.trained = begun(shooting, fractions, known, seed)
+            common = np.concatenate([fractions, shooting.simulator.weights[shooting.trained]])
+            shooting.prior = prior(shooting, common, known, decay)
+        found = trained(shooting, common, known)
+        errors = [shooting.ahead(each.length, each.fit, alone.experiments) for each in found]
+        return min(
+            zip(errors, found, strict=True), key=lambda pair: pair[0], default=(np.inf, None)
+        )
 
-    decay = min(DECAYS, key=ahead)
-    trainings = [trained(alone.experiments, decay, seed + i) for i in range(MEMBERS)]
-    good = sorted((each for each in trainings if each is not None), key=lambda each: each[0])
-    if not good:
-        raise DeadlineError
-    best = good[0]
+    def whole(training: Training) -> Training:
+        """Return a training that goes on with all samples."""
+        shooting = training.shooting.of(training.shooting.simulator, alone.experiments)
+        shooting.noise = training.fit.noise
+        common = training.fit.unknowns[: shooting.common]
+        most = training.length * alone.longest / training.shooting.longest + 1
+        if not (found := trained(shooting, common, path, most)):
+            return training
+        _, length, fit = found[-1]
+        shooting.restored(length, fit)
+        return Training(shooting, length, descended(shooting, fit.unknowns, LAST_ROUNDS))
+
+    without, _ = tried(None, seed)
+    decays = {decay: tried(decay, seed) for decay in DECAYS}
+    decay = min(decays, key=lambda each: decays[each][0])
+    if not decays[decay][0] < without:
+        remark = (
+            "the unknown terms were left out: with them, held-out samples are forecast with an "
+            f"error of {decays[decay][0]:.3g} deviations, without them of {without:.3g}, as where "
+            "the equation lacks a state; a hybrid learns what is missing outside of it"
+        )
+        return Training(alone, window, found[window]), (), [remark]
+    every = [decays[decay], *(tried(decay, seed + i) for i in range(1, MEMBERS))]
+    least = min(error for error, _ in every)
+    ranked = sorted(every, key=lambda each: each[0])
+    best, *others = [whole(t) for error, t in ranked if t and error <= AS_GOOD * least]
     members: list[Trained] = []
-    for error, shooting, length, fit in good[1:]:
-        if error <= AS_GOOD * best[0]:
-            members += held(shooting, shooting.restored(length, fit).path)
-    return best[1], best[2], best[3], tuple(members)
+    for shooting, length, fit in others:
+        members += held(shooting, shooting.restored(length, fit).path)
+    return best, tuple(members), []
 
 
 def _tied(shooting: Shooting, fit: Fit) -> Fit:
@@ -441,7 +461,10 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
                     effort.progress(len(done), len(points))
             if part is alone and alone and now() - began < WORTH_PROCESSES:
                 workers = 1
-        if _settled([done[i] for i in sorted(done)], problem.longest):
+        errors = [
+            o.found[problem.longest].error for o in done.values() if problem.longest in o.found
+        ]
+        if sum(error <= min(errors) * (1 + SAME_ERROR) for error in errors) >= ENOUGH:
             break
     return [done[i] for i in sorted(done)]
 
@@ -466,15 +489,6 @@ def _side_by_side(
             pool.shutdown()
 
 
-def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
-    """Return whether enough starts agree on the lowest error, or the last hardly lowered it."""
-    errors = [o.found[longest].error for o in outcomes if longest in o.found]
-    if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
-        return True
-    before = [o.found[longest].error for o in outcomes[:-PATIENCE] if longest in o.found]
-    return min(before, default=np.inf) <= min(errors, default=0.0) * (1 + _HARDLY_BETTER)
-
-
 def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> StartOutcome:
     """Fit from one starting point."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
@@ -493,7 +507,6 @@ def grown(
     common: Array,
     lengths: list[int],
     path: Sequence[Array] | None = None,
-    decay: float | None = None,
 ) -> Iterator[tuple[int, Fit]]:
     """Yield fits in windows that grow as far as the state allows it, with their lengths.
 
@@ -503,21 +516,18 @@ def grown(
     common : Parameters and weights at the beginning.
     lengths : Lengths of windows, the shortest first.
     path : States by record at the beginning; None for those that follow from the parameters.
-    decay : Weight decay of unknown terms; None without them.
     """
     found = False
     while lengths:
         length, *lengths = lengths
         shooting.divide(length)
         at = shooting.begun(common) if path is None else shooting.resumed(common, path)
-        if path is not None and decay is not None:
-            shooting.prior = prior(shooting, common, path, decay)
         if not _runs(shooting.compare(at)):
             continue
         fit = descended(shooting, at, _ROUNDS)
         compared = shooting.compare(fit.unknowns, slopes=True)
         here, later = shooting.growth(compared.transitions)
-        if here > MOST_GROWTH and decay is None and (found or -(-length // GROWTH) >= SHORTEST):
+        if here > MOST_GROWTH and (found or -(-length // GROWTH) >= SHORTEST):
             lengths = [] if found else [-(-length // GROWTH), length, *lengths]
             continue
         found, common = True, fit.unknowns[: shooting.common]
@@ -525,7 +535,7 @@ def grown(
         if later > MOST_GROWTH:
             break
         whole = all(np.isfinite(x).all() for x in compared.path)
-        path = compared.path if whole else path if decay is not None else None
+        path = compared.path if whole else path
 
 
 def _lengths(shooting: Shooting) -> list[int]:

@@ -1,117 +1,42 @@
-"""Compare a simulator with records, over whole records or windows, and minimise the difference.
+"""Compare a simulator with records, over whole records or windows.
 
 A long simulation may lose its phase or be unstable, and then does not determine the parameters.
 Then records are simulated in windows (multiple shooting; Bock, 1987). Positions of parameters in
 their ranges and the initial states of the windows are the unknowns of one least-squares problem,
 whose residuals are the errors of the outputs, and the steps of the state from the end of a window
-to the beginning of the next one. The simulator with fitted parameters runs from an initial state
-estimated from a history, by the same residuals.
+to the beginning of the next one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, check
-from splitband.runtime.errors import InputError
 from splitband.simulators.base import origin
+from splitband.simulators.least_squares import BAD, finite, likely_state, limited
 from splitband.simulators.parameters import (
     INITIAL,
-    MIN_NOISE,
     Adjustable,
-    Estimate,
     Point,
     Response,
 )
-from splitband.simulators.unknown import Trained
-from splitband.simulators.user_code import failure, place
+from splitband.simulators.user_code import failure
 
-BAD = 1e3
-"""Residual of a failed run, and upper limit of others, in deviations of a channel. By eye."""
-FAILED = 1e9
-"""The same limit in deviations of the noise, for the larger residuals of a wrong state. Rounding.
-"""
 GROWTH = 4
 """Growth of windows from stage to stage. Bounds the time."""
 MOST_GROWTH, _EXPONENT = 10.0, 1.5
 """Largest growth of an error of the state in a window, and least exponent of the growth in a second
 half by that in the first one: 1 for powers of time, 2 for exponentials. By eye."""
-_ENOUGH = 1e-9
-"""Gain of a step that ends a minimisation, as a share of the squared error. Rounding."""
 _STATE_ROUNDS = 4
 """Largest number of steps in the search for the initial state of a window, a start for the search
 for all unknowns. Bounds the time."""
-MOST_STATES = 500
-"""Largest number of stored training states, as prior and as starting points. Bounds the time."""
-_TRIED, _MOST_ROUNDS = 3, 50
-"""Number of stored states with the closest outputs as starts for an initial state, and largest
-number of steps per start. Bounds the time."""
-Evaluate = Callable[[Array, bool], tuple[float, Array, Array]]
-"""Returns half the sum of squares at some unknowns and, if asked for, its gradient and the normal
-matrix J'J."""
-
-
-def minimise(
-    evaluate: Evaluate, begin: Array, low: Any, high: Any, rounds: int, alike: slice = slice(0)
-) -> tuple[Array, float]:
-    """Minimise a sum of squares between bounds by Levenberg and Marquardt's method.
-
-    The damping is that of Nielsen (1999), in the largest size of each derivative so far; unknowns
-    that are `alike`, as the weights of a network, have a common size: with sizes of their own, four
-    times as many steps did not lead as far. Unknowns that a step would take beyond a bound go to
-    it, and the step is solved again for the others. At a deadline the best ones so far are
-    returned.
-    """
-    at = np.clip(begin, low, high)
-    cost, gradient, normal = evaluate(at, True)
-    damping, growth, scale = 1e-3, 2.0, np.zeros(len(at))
-    try:
-        for _ in range(rounds if len(at) else 0):
-            scale = np.maximum(scale, np.diag(normal))
-            scale[alike] = np.mean(scale[alike]) if alike.stop else 0.0
-            floor = 1e-12 * scale.max(initial=1e-300)
-            step = _bounded_step(
-                normal + np.diag(damping * np.maximum(scale, floor)), gradient, at, low, high
-            )
-            expected = -float(step @ (gradient + 0.5 * normal @ step))
-            if not expected > _ENOUGH * cost:
-                break
-            new = evaluate(at + step, False)[0]
-            share = (cost - new) / expected
-            if not share > 1e-4:
-                damping, growth = damping * growth, 2 * growth
-                continue
-            at, before = at + step, cost
-            cost, gradient, normal = evaluate(at, True)
-            damping, growth = damping * max(1 / 3, 1 - (2 * share - 1) ** 3), 2.0
-            if before - cost < _ENOUGH * cost:
-                break
-    except DeadlineError:
-        pass
-    return at, cost
-
-
-def _bounded_step(matrix: Array, gradient: Array, at: Array, low: Any, high: Any) -> Array:
-    """Return the step to the minimum of a quadratic function, within the bounds."""
-    free, step = np.ones(len(at), dtype=bool), np.zeros(len(at))
-    while free.any():
-        right = gradient[free] + matrix[np.ix_(free, ~free)] @ step[~free]
-        step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], right)
-        within = np.clip(at + step, low, high)
-        beyond = free & (within != at + step)
-        if not beyond.any():
-            break
-        step[beyond] = (within - at)[beyond]
-        free &= ~beyond
-    return step
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,11 +135,13 @@ class Shooting:
         self.trained = np.zeros(len(simulator.weights), dtype=bool)
         self.prior: Callable[[Array], tuple[Array, Array]] | None = None
 
-    def of(self, simulator: Adjustable) -> Shooting:
-        """Return the same comparison with another simulator, whose terms are taught."""
+    def of(
+        self, simulator: Adjustable, experiments: Sequence[Experiment] | None = None
+    ) -> Shooting:
+        """Return the same comparison with another simulator, whose terms are taught, or records."""
         states: Any = tuple(term.trained for term in self.simulator.terms)
         simulator = simulator.taught(states) if self.trained.any() else simulator
-        other = Shooting(simulator, self.experiments, self.scale)
+        other = Shooting(simulator, experiments or self.experiments, self.scale)
         other.trained, other.prior = self.trained, self.prior
         return other
 
@@ -307,6 +234,20 @@ class Shooting:
         self.sizes, self.noise = fit.sizes, fit.noise
         return self.compare(fit.unknowns)
 
+    def ahead(self, length: int, fit: Any, experiments: Sequence[Experiment]) -> float:
+        """Return the RMS error in deviations of samples after those of a fit; infinite for none.
+
+        They are simulated from the last windows on; `experiments` have the whole records.
+        """
+        self.restored(length, fit)
+        errors = []
+        for window in {window.record: window for window in self.windows}.values():
+            part = experiments[window.record].part(window.begin, len(experiments[window.record].y))
+            y, _ = self.respond(part, [self._point(window, fit.unknowns)])[0]
+            errors.append(self._errors(part, y)[len(window.part.y) :])
+        every = np.concatenate(errors)
+        return float(np.sqrt(np.nanmean(every**2))) if np.isfinite(every).any() else np.inf
+
     def compare(  # noqa: PLR0915  one pass over the windows
         self, unknowns: Array, slopes: bool = False
     ) -> Compared:
@@ -340,7 +281,7 @@ class Shooting:
                 end_slopes, end_columns = np.zeros((nx, 0)), np.zeros(0, int)
             if window.begin or anchored:  # the step of the state from the end of the window before
                 unit = self.sizes * self.slack * self.noise.max() / np.sqrt(len(window.part.y))
-                step = _limited((state - end) / unit)
+                step = limited((state - end) / unit)
                 (begins if anchored else steps).append(step)
                 block = np.zeros((0, 0))
                 if slopes:
@@ -362,9 +303,9 @@ class Shooting:
                 dy, dx = dy * widths, dx * widths
                 whole = np.abs(error) < BAD
                 block = np.where(whole[..., None], dy / (self.scale * self.noise)[:, None], 0.0)
-                block = _finite(block.reshape(error.size, -1)[:, own])
+                block = finite(block.reshape(error.size, -1)[:, own])
                 if nx:
-                    last = _finite(dx[-1])
+                    last = finite(dx[-1])
                     transitions.append(
                         last[:, -nx:] / widths[-nx:] * self.sizes / self.sizes[:, None]
                     )
@@ -390,8 +331,11 @@ class Shooting:
     def growth(self, transitions: Sequence[Array]) -> tuple[float, float]:
         """Return how much an error of the state grows in a window and in one of the next stage.
 
-        Both are medians of the windows; 0 if it does not grow exponentially.
+        Both are medians of the windows; 0 if it does not grow exponentially, and for unknown terms
+        in training, which longer windows correct.
         """
+        if self.trained.any():
+            return 0.0, 0.0
         growths = []
         for length in (1, GROWTH // 2, GROWTH):
             each = []
@@ -453,9 +397,7 @@ class Shooting:
         if bad.any() and not self.failure:
             at = int(np.argmax(bad.any(axis=1)))
             self.failure = self.simulator.unfinished(float(part.time[at]))
-        return np.where(
-            np.isnan(part.y), np.nan, _limited((y - np.nan_to_num(part.y)) / self.scale)
-        )
+        return np.where(np.isnan(part.y), np.nan, limited((y - np.nan_to_num(part.y)) / self.scale))
 
     def _settled(
         self, window: Window, x: Array, sizes: Array, values: Mapping[str, float]
@@ -474,196 +416,7 @@ class Shooting:
         return likely_state(run, window.part.y, unit, x, spread, x, _STATE_ROUNDS, BAD)[0]
 
 
-def likely_state(  # noqa: PLR0913
-    run: Callable[[Array, bool], tuple[Array, Array]],
-    measured: Array,
-    unit: Array,
-    mean: Array,
-    spread: Array,
-    begin: Array,
-    rounds: int,
-    limit: float,
-) -> tuple[Array, float]:
-    """Return the state of the least errors and distance from its prior, and half their squares.
-
-    Parameters
-    ----------
-    run : Returns the channels from a state on, `(time, ny)`, and if asked for their derivatives.
-    measured, unit : Samples, `(time, ny)`, NaN in gaps, and the unit of errors, `(ny,)`.
-    mean, spread : Of the prior, `(nx,)`.
-    begin, rounds : State at the beginning, and the largest number of steps.
-    limit : Largest size of a residual.
-    """
-
-    def residuals(z: Array, slopes: bool) -> tuple[Array, Array]:
-        y, slope = run(mean + spread * z, slopes)
-        left = _limited((y - np.nan_to_num(measured)) / unit, limit)
-        left = np.where(np.isnan(measured), 0.0, left)
-        every = np.concatenate([left.ravel(), z])
-        if not slopes:
-            return every, left
-        good = (np.abs(left) < limit) & ~np.isnan(measured)
-        rows = np.where(good[..., None], slope * spread / unit[:, None], 0.0)
-        return every, np.vstack([_finite(rows.reshape(left.size, -1)), np.eye(len(z))])
-
-    at, cost = minimise(squared(residuals), (begin - mean) / spread, -np.inf, np.inf, rounds)
-    return mean + spread * at, cost
-
-
-def squared(residuals: Callable[[Array, bool], tuple[Array, Array]]) -> Evaluate:
-    """Return the function for `minimise` of one that returns residuals and their derivatives."""
-
-    def evaluate(z: Array, slopes: bool) -> tuple[float, Array, Array]:
-        left, block = residuals(z, slopes)
-        cost = 0.5 * float(left @ left)
-        return (cost, block.T @ left, block.T @ block) if slopes else (cost, z, block)
-
-    return evaluate
-
-
 def _size(path: Array) -> Array:
     """Return the RMS of finite states, `(nx,)`."""
     good = path[np.isfinite(path).all(axis=1)]
     return np.sqrt(np.mean(good**2, axis=0)) if len(good) else np.zeros(path.shape[1])
-
-
-def _finite(values: Array) -> Array:
-    return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
-
-
-def _limited(residuals: Array, limit: float = BAD) -> Array:
-    """Return residuals between limits; non-finite ones are at the upper one."""
-    return np.where(np.isfinite(residuals), np.clip(residuals, -limit, limit), limit)
-
-
-@dataclass(frozen=True, eq=False)
-class Adjusted:
-    """A simulator with fitted parameter values.
-
-    Attributes
-    ----------
-    simulator : The simulator with the ranges of the fit; None in a saved model.
-    values : Values of all parameters; initial values are those of the first training record.
-    noise : RMSE by channel in training, `(ny,)`.
-    states, outputs : States `(n, nx)` and outputs `(n, ny)` of the first training record, at most
-        `MOST_STATES` rows.
-    terms : States of the unknown terms.
-    members : Those of further trainings that fit as well, one training after another.
-    """
-
-    simulator: Any
-    values: dict[str, float]
-    noise: Array
-    states: Array = field(default_factory=lambda: np.empty((0, 0)))
-    outputs: Array = field(default_factory=lambda: np.empty((0, 0)))
-    terms: tuple[Trained, ...] = ()
-    members: tuple[Trained, ...] = ()
-
-    @classmethod
-    def of(
-        cls, simulator: Adjustable, estimate: Estimate, experiments: Sequence[Experiment]
-    ) -> Self:
-        """Return the fitted simulator; `experiments` are those of the fit."""
-        middle = simulator.known.middle()
-        simulator = simulator.taught(estimate.terms)
-        values = {name: estimate.values.get(name, x) for name, x in middle.items()}
-        deviation = np.nanstd(np.concatenate([e.y for e in experiments]), axis=0)
-        noise = np.maximum(np.array(estimate.rmse), MIN_NOISE * np.maximum(deviation, 1e-300))
-        usual = cls(simulator, values, noise)
-        outputs, states = usual.response(experiments[0].time, experiments[0].u)
-        rows = np.linspace(0, len(states) - 1, min(len(states), MOST_STATES)).round().astype(int)
-        rows = rows[np.isfinite(states[rows]).all(axis=1)]
-        terms = tuple(term.trained for term in simulator.terms if term.trained)
-        usual = replace(usual, states=states[rows], outputs=outputs[rows])
-        return replace(usual, terms=terms, members=estimate.members)
-
-    def response(self, time: Array, u: Array | None, state: Any = None) -> Response:
-        """Simulate channels and states at `time` in s, by default from the fitted initial state.
-
-        Raises ValueError if the run fails.
-        """
-        simulator = self._given
-        with _running():
-            y, x = simulator.respond(time, u, [self._began(state)])[0]
-        return self._finite(y, time), x
-
-    def advance(
-        self, state: Any, time: Array, u: Array | None, size: float = 0.0
-    ) -> tuple[Array, Array, float]:
-        """Return channels, states, and the next step size; see `Ode.advance`.
-
-        Raises ValueError if the run fails.
-        """
-        simulator = self._given
-        state = simulator.initial(self.values) if state is None else state
-        with _running():
-            y, x, size = simulator.advance(self.values, state, time, u, size)
-        return self._finite(y, time), x, size
-
-    def beginning(self, history: Experiment) -> Array | None:
-        """Estimate the initial state of a history; None for a simulator without one.
-
-        The estimate fits the history and a prior from the training states. The prior has the weight
-        of one sample per state, and decides if the history does not determine the state. For a
-        black box, the initial values take the place of the state.
-        """
-        parameters = self._given.known
-        if not self.simulator.states and not parameters.initial:
-            return None
-        if not self.simulator.states:
-            low, high = np.transpose([parameters.range(name) for name in parameters.initial])
-            return self._searched(history, [0.5 * (low + high)], 0.5 * (low + high), high - low)
-        mean, spread = self.states.mean(axis=0), self.states.std(axis=0)
-        spread = np.maximum(spread, 1e-6 * np.maximum(np.abs(mean), 1e-6))
-        distance = np.nansum(((self.outputs - history.y[:1]) / self.noise) ** 2, axis=1)
-        similar = self.states[np.argsort(distance, kind="stable")[:_TRIED]]
-        return self._searched(history, [*similar, mean], mean, spread)
-
-    @property
-    def _given(self) -> Any:
-        """Return the simulator; raises ValueError for a saved model without it."""
-        return self.simulator.require()
-
-    def _finite(self, y: Array, time: Array) -> Array:
-        """Return the channels; raises ValueError for non-finite values."""
-        good = np.isfinite(y).all(axis=1)
-        if not good.all():
-            raise InputError(self._given.unfinished(float(time[np.argmin(good)])))
-        return y
-
-    def _began(self, state: Any) -> Point:
-        """Return parameters and initial state for `Adjustable.respond`."""
-        if state is None or self.simulator.states:
-            return self.values, state
-        return {**self.values, **dict(zip(self.simulator.known.initial, state, strict=True))}, None
-
-    def _searched(
-        self, history: Experiment, begin: Sequence[Array], mean: Array, spread: Array
-    ) -> Array:
-        """Search from several states, and return the most likely result."""
-        names = () if self.simulator.states else self.simulator.known.initial
-
-        def run(state: Array, slopes: bool) -> tuple[Array, Array]:
-            simulator, point = self.simulator, self._began(state)
-            with np.errstate(all="ignore"), _running():
-                if slopes:
-                    found = simulator.derivatives(history.time, history.u, point, names)
-                    return found[0], found[2][..., : len(state)]
-                return simulator.respond(history.time, history.u, [point])[0]
-
-        how = run, history.y, self.noise, mean, spread
-        minima = [likely_state(*how, state, _MOST_ROUNDS, FAILED) for state in begin]
-        return min(minima, key=lambda minimum: minimum[1])[0]
-
-
-@contextmanager
-def _running() -> Iterator[None]:
-    """Turn errors of user code into a ValueError with the place."""
-    try:
-        yield
-    except DeadlineError:
-        raise
-    except Exception as error:
-        if isinstance(error, ValueError) and not place(error):
-            raise  # raised by this package
-        raise InputError(f"the simulator failed: {failure(error)}") from error

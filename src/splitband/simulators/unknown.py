@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any, Self
 
 import numpy as np
@@ -176,7 +175,7 @@ class Unknown(WithRepr):
                 )
             places += means
         named = self.names or tuple(labels[place] for place in places)
-        return replace(self, of=chosen(tuple(places)), names=named)
+        return replace(self, of=Chosen(tuple(places)), names=named)
 
     def size(self, quantities: int) -> int:
         """Return the number of weights of a term of so many quantities."""
@@ -391,11 +390,15 @@ class UnknownCurve:
         return pd.DataFrame(columns, index=pd.Index(self.z, name=self.quantity))
 
 
-@cache
-def chosen(places: tuple[int, ...]) -> Callable[[Any, Any], Any]:
-    """Return a function of the elements at these places of the states and inputs."""
-    at = np.array(places)
-    return lambda x, u: np.concatenate((x, u))[at]
+@dataclass(frozen=True)
+class Chosen:
+    """A function of (x, u): the elements at some places of the states and inputs."""
+
+    places: tuple[int, ...]
+
+    def __call__(self, x: Any, u: Any) -> Any:
+        """Return the elements, `(places,)`; traceable."""
+        return np.concatenate((x, u))[np.array(self.places)]
 
 
 def packed(terms: Sequence[Unknown]) -> tuple[Array, Array, Any]:
