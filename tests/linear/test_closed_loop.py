@@ -157,19 +157,23 @@ def test_it_is_no_slow_part_of_a_hybrid() -> None:
         hybrid.fit(pendulum(0))
 
 
-def test_the_horizon_that_compare_names_judges_forecasts() -> None:
-    record = pendulum(0)
-    free = sb.compare(record, 750, ["linear", "mean"])
-    assert "--ahead 50" in free.warnings[0]
-    found = sb.compare(record, 750, ["linear", "mean"], ahead=50)
+def test_methods_are_judged_as_far_ahead_as_forecasts_reach() -> None:
+    """By free runs, which leave the record, the last value held would be the best one."""
+    record, methods = pendulum(0), ["linear", "mean", "persistence"]
+    found = sb.compare(record, 750, methods)
+    assert "50 samples ahead" in found.warnings[0]
     assert found.recommended == "linear"
-    assert "--ahead" not in " ".join(found.warnings)
+    asked = sb.compare(record, 750, methods, ahead=50)
+    assert found.require_trial().scores == asked.require_trial().scores
+    free = sb.compare(record, 750, methods, horizon=250)
+    assert "--ahead 50" in free.warnings[0]
+    assert free.recommended != "linear"
 
 
 def test_windows_of_trainings_end_where_forecasts_do() -> None:
     record = pendulum(0)
     planned = plan(PlanRequest(record, 750, ["linear", "gru"], rounds=1))
     assert planned.settings.window - planned.settings.warmup == planned.reach == 50
-    assert "--ahead 50" in planned.warnings[0]
+    assert planned.ahead == 50
     given: Any = {"window": 200}
     assert plan(PlanRequest(record, 750, ["gru"], settings=given)).settings.window == 200

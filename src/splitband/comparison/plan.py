@@ -118,10 +118,15 @@ class Plan:
         Outputs that are probably inputs come first; that networks are left out comes last.
         """
         unnamed = of_unnamed(unnamed_inputs(self.record))
-        if self.reach is not None and self.ahead is None:
+        if self.reach is not None:
             unnamed.append(
                 "The plant is unstable, and a controller holds it: errors of a free run grow until "
-                f"it leaves the record. Judge forecasts instead: --ahead {self.reach}."
+                "it leaves the record. "
+                + (
+                    f"Judge forecasts instead: --ahead {self.reach}."
+                    if self.ahead is None
+                    else f"Methods are judged by forecasts {self.ahead} samples ahead."
+                )
             )
         others = (*self.others, *self.tests)
         found = [f"{each.name}: {said}" for each in others for said in each.warnings()]
@@ -253,7 +258,9 @@ def plan(asked: PlanRequest) -> Plan:
     if asked.horizon != 0 or asked.tests:
         check_trial(planned)
     if reach is not None:
-        planned = replace(planned, reach=int(min(reach, _least_room(planned)[1])))
+        reach = int(min(reach, _least_room(planned)[1]))
+        free = asked.horizon is not None or asked.ahead is not None
+        planned = replace(planned, reach=reach, ahead=asked.ahead if free else reach)
     return replace(planned, tests=_with_distinct_names(asked.tests, record.name))
 
 
