@@ -44,7 +44,7 @@ BLOCK = re.compile(
 )
 PICTURE = re.compile(r"^!\[.*?\]\((.*?)\)$", re.DOTALL | re.MULTILINE)
 TEXT = re.compile(r"^```text\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
-PROGRESS = re.compile(r"^.*; \d+:\d\d so far\n", re.MULTILINE)
+PROGRESS = re.compile(r"^(.*; \d+:\d\d so far|splitband: compiling kernels.*)\n", re.MULTILINE)
 """What a terminal shows for a moment."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
 TIME = re.compile(r"\d[\d.]*\s*(ms|s|min|seconds?|minutes?)\b|\d+:\d\d")
