@@ -1,7 +1,7 @@
-"""Learn dynamics models from measured records, their slow and fast parts by different means.
+"""Learn dynamic models from measured data: linear models, networks, hybrids and baselines.
 
-What the package hands out stands once, in `__init__.pyi`: a line there is all that a name needs. It
-is loaded when it is used, as torch and pandas take seconds.
+`__init__.pyi` lists the public names. A name is loaded when it is first used, as torch and pandas
+take seconds.
 """
 
 import lazy_loader

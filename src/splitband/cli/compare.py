@@ -35,14 +35,14 @@ def compare(
 ) -> None:
     """Compare models of a record and recommend one.
 
-    Every method is trained on the first --train samples and predicts the rest; with --test, also
-    other records. The command prints the recommended method, then a table of fit % and RMSE.
+    Every method is trained on the first --train samples, and predicts the rest and the records of
+    --test. The command prints the recommended method, then a table of fit % and RMSE.
     --verbose adds the reasons and what each fit has chosen. OUT contains a page to share
     (report.html), the predictions and results.json.
 
-    The recommended method is chosen by its held-out error: trained on three quarters of the
-    training samples, it predicts the last quarter best. The interval around its prediction should
-    contain 90 % of the measured samples.
+    The recommended method has the lowest held-out error: trained on three quarters of the training
+    samples, it predicts the last quarter best. A network must be 10 % better than other methods.
+    The interval around a prediction should contain 90 % of the measured samples.
 
     OUT/model is the recommended model, for `splitband simulate`. --refit trains it again on the
     whole record.

@@ -30,9 +30,9 @@ MEANINGS = {
 def methods() -> None:
     """List the methods and what each needs.
 
-    A network alone suits any record, `split-gru` one with a slow and a fast part, a hybrid one with
-    a simulator that is roughly right or with a simple slow part. The other methods are references
-    to beat. Give names to --methods, separated by commas.
+    Use a network alone for any record, `split-gru` for one with a slow and a fast part, and a
+    hybrid for one with a simulator that is roughly right or with a simple slow part. The other
+    methods are references to beat. Give names to --methods, separated by commas.
     """
     say = printing.console.print
     say(f"networks alone: {', '.join(NETWORKS)}")

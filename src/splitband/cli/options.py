@@ -214,7 +214,7 @@ Train = Annotated[
         "Train on the first N samples and predict the rest. With `all`, methods are compared by "
         "their held-out errors alone.",
         "N|all",
-        "three quarters",
+        "three quarters; with --test, all",
         parser=_training_samples,
     ),
 ]
@@ -393,7 +393,7 @@ class FurtherRecords:
 
     more: list[str] | None = _record("Train on this record, too. May be repeated.", "FILE")
     more_simulator: list[str] | None = _simulator(
-        "The simulator of each --more, in this order.", "FILE"
+        "The simulator of each --more, in the same order.", "FILE"
     )
 
 
@@ -405,10 +405,10 @@ class TestRecords:
 
     test: list[str] | None = _record("Validate on this record. May be repeated.", "FILE")
     test_simulator: list[str] | None = _simulator(
-        "The simulator of each --test, in this order.", "FILE"
+        "The simulator of each --test, in the same order.", "FILE"
     )
     initial: int | None = _record(
-        "Measured samples at the beginning of a test record from which it is simulated.",
+        "Number of samples of a test record that are known before its simulation.",
         "N",
         "the warm-up",
         min=1,
@@ -420,7 +420,7 @@ _SIMULATOR = (
     f"of the time in s or of (time, u), or one of {', '.join(SIMULATORS)}. The record's inputs "
     "drive it."
 )
-_OR_BASE = f"{_SIMULATOR} Or a fitted model in its place: linear, periodic or harmonic."
+_OR_BASE = f"{_SIMULATOR} Or a fitted model that replaces it: linear, periodic or harmonic."
 
 
 @dataclass(frozen=True)
@@ -507,7 +507,7 @@ class ModelOptions:
     )
     epochs: Epochs = None
     recipe: Recipe = _training(
-        "Training settings that no option gives.", "default|constant-rate", default="default"
+        "Training settings, where no other option sets them.", "default|constant-rate", default="default"
     )
     learning_rate: float | None = _training("Largest learning rate of Adam.", "RATE", "1e-2")
     lr_milestones: str | None = _training(

@@ -64,14 +64,14 @@ def compare(  # noqa: PLR0913
     ----------
     record : The measured record, with its inputs and simulator's output, if any.
     train : Samples to train on, by default three quarters; with `tests` all of them. With
-        `len(record)` nothing is left to compare with but the held-out forecasts.
+        `len(record)` only the held-out forecasts are left to compare by.
     methods : Forecasters, or names (`splitband methods`). By default the methods worth comparing on
         such a record.
-    horizon : How far one free run after the training part goes, in samples, by default to the end
-        of the record; 0 is for fitting alone.
-    ahead : Samples that the model is to predict from any origin, with the measurements until then,
-        as for predictive control, for plants that integrate or are unstable, for signals that
-        wander. Networks are trained over windows of a warm-up and so many samples. Methods are
+    horizon : Length of the free run after the training part, in samples, by default to the end of
+        the record; with 0 the methods are only fitted.
+    ahead : Number of samples that the model is to predict from any origin, with the measurements
+        until then: for predictive control, plants that integrate or are unstable, and signals
+        that wander. Networks are trained over windows of a warm-up and so many samples. Methods are
         chosen by forecasts of 1 to `ahead` samples from many origins in the held-out part; the
         table has their fit 1, ahead/10 and `ahead` samples ahead, from many origins after the
         training part or in the test records, and the interval is that of such forecasts. By
@@ -85,7 +85,7 @@ def compare(  # noqa: PLR0913
         the training part.
     recipe : Settings where none are given: "default", or "constant-rate", which is not searched.
     bands : Cut-off, order and down-sampling; what is not given is chosen from the training samples.
-    sizes : Of the networks given by name; by default they are searched.
+    sizes : Sizes of the networks given by name; by default they are searched.
     simulator : For methods without one: it is run beside the record, or, with parameters (`Ode`,
         `Fmu`, `Function`), fitted to it. A text is what `--simulator` takes: a file, FILE.py:NAME,
         or the name of a baseline that is fitted in place of a simulator, such as "linear".
@@ -96,11 +96,11 @@ def compare(  # noqa: PLR0913
     rounds : Rounds of the search in place of a time limit: the same work and, on one machine, the
         same result in every run.
     seed : Of all random numbers.
-    seeds : Trainings of each network, whose median is handed out, by default three. Where settings
-        are searched, the most in the median of the best network, by default as many as do best;
-        the others are trained once.
+    seeds : Number of trainings of each network, whose median is returned, by default three. After
+        a search of settings, the largest number for the best network, by default the number
+        that does best; the other networks are trained once.
     refit : Whether the recommended method is refitted to the whole record at the end.
-    device : That networks are trained on: cpu, cuda, cuda:1.
+    device : The device that trains networks: cpu, cuda, cuda:1.
     also : Methods of the table and the page that are never recommended, such as a simulation made
         elsewhere: `sb.Simulation(sb.Recorded(y, 0.1), name="mine")`.
     cores : Trainings side by side, each in a process with one thread. With several, a script must

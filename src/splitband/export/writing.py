@@ -91,8 +91,8 @@ def casadi_step(
 ) -> CasadiStep:
     """Return the prediction of one sample as a CasADi function, for predictive control.
 
-    `step = casadi_step(model)` is called as `state, y = step(state, u)`, with numbers or with
-    CasADi's expressions, from which CasADi takes derivatives. `step.state()` is the state at the
+    After `step = casadi_step(model)`, call `state, y = step(state, u)` with numbers, or with
+    CasADi's expressions, which have derivatives. `step.state()` is the state at the
     end of the history, a vector; `step.stream.observe(y, u)` takes what is measured next. The
     numbers are those of `Forecaster.stream`. The equation of an `Ode` is part of the function; the
     output of any other simulator is its third argument. It needs the extra `casadi`.

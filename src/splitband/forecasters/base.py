@@ -283,9 +283,9 @@ class Forecaster(WithRepr, ABC):
             inputs and prediction.
         u : Known inputs of the forecast samples, `(steps or more, nu)`; required where the record
             has inputs. The columns of a DataFrame are found by their names, here and in `y_sim`.
-        y_sim : Simulator output of the forecast samples, `(steps or more, ny)`; by default the
-            history's after its end. A calibrated delay or clock may need more than `steps`. Ignored
-            by forecasters that need none or run their own simulator.
+        y_sim : Simulator output of the forecast samples, `(steps or more, ny)`; by default
+            that of the history after its end. A calibrated delay or clock may need more than
+            `steps`. Ignored by forecasters that need none or run their own simulator.
         level : Of the interval, 0 to 1: the share of samples that should lie in it. The first call
             with a level refits copies of the forecaster to shorter parts of its training record (a
             network: to three quarters) and forecasts the rest; the errors give all intervals.
@@ -486,7 +486,7 @@ class Forecaster(WithRepr, ABC):
 
     @property
     def fitted_bases(self) -> list[Forecaster]:
-        """Return the fitted forecasters that a network in it learns the error of."""
+        """Return the fitted forecasters whose error a network of this one learns."""
         return []
 
     def as_base(self) -> Forecaster:
@@ -512,7 +512,7 @@ class Forecaster(WithRepr, ABC):
 
     @property
     def slow_label(self) -> str:
-        """Return the label of the slow component of a prediction, if that is the forecaster."""
+        """Return the forecaster's label as the slow component of a prediction."""
         return self.name
 
     def step_form(self) -> Steps:

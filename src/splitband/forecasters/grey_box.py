@@ -179,8 +179,8 @@ class GreyBox(Forecaster):
     def trajectory(self, known: ForecastContext) -> Array:
         """Return the simulation over the history and the forecast, `(time + steps, ny)`.
 
-        Where the history goes on from the training record, it starts from the state of the first
-        sample of that; else the state at the first sample of the history is estimated.
+        If the history continues the training record, the simulation starts from the state at the
+        first sample of that record; else the state at the history's first sample is estimated.
         """
         return self._simulated(known, self._experiment(known))[0]
 
@@ -202,7 +202,7 @@ class GreyBox(Forecaster):
         return isinstance(self.simulator, Ode) and self.simulator.advances
 
     def as_base(self) -> GreyBox:
-        """Return it with the state that all samples tell, as that of its `trajectory`."""
+        """Return a copy whose state is estimated from all samples, as in `trajectory`."""
         new = copy(self)
         new.memory = 0
         return new
@@ -220,7 +220,7 @@ class GreyBox(Forecaster):
         return EquationSteps(self)
 
     def step_form_as_base(self) -> Steps:
-        """Return the equation, or the output that is given of a simulator that is none."""
+        """Return the equation's step form; of another simulator, its given output."""
         ny = self.require_fitted().record.ny
         return self.step_form() if self.writable else GivenSteps(np.ones(ny), np.zeros(ny))
 
@@ -260,7 +260,7 @@ class GreyBox(Forecaster):
         return "; ".join(filter(None, [str(self.estimate), *terms]))
 
     def doubts(self, known: ForecastContext) -> list[str]:
-        """Return that the record favours the other course of inputs between samples, if it does.
+        """Return a sentence where the record favours the other `hold` of inputs.
 
         Also return the quantities of unknown terms that leave their range in training.
         """

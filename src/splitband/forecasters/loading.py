@@ -65,9 +65,9 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
 
     Parameters
     ----------
-    folder : Of the forecaster, or of the result of a comparison or a forecast, which holds one.
-    simulator : The one that it was fitted with, such as `sb.Fmu("rig.fmu")`, or a replacement. A
-        forecaster that needs one loads without it, but cannot predict.
+    folder : The folder of a forecaster, or of the result of a comparison or a forecast.
+    simulator : The forecaster's simulator, such as `sb.Fmu("rig.fmu")`, or a replacement. A
+        forecaster that needs a simulator loads without it, but cannot predict.
 
     Raises
     ------

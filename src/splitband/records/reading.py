@@ -121,8 +121,8 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
     columns : measured channels; by default every column that holds a number, has a name, and is
         neither an input nor a time (in NPZ and MAT: among the longest variables). Other columns
         with content are left out, with a `ReadingWarning` that names them.
-    inputs : known inputs `u`. With None there are none either, and a `ReadingWarning` names the
-        columns that may have been meant. A function of a column, a Series, says whether it is one.
+    inputs : known inputs `u`. None means that there are none, and a `ReadingWarning` names the
+        columns that may be inputs. A function of a column, a Series, says whether it is one.
         Booleans and the words of a switch are 0 and 1. Other words become a column each but the
         first of them, "mode=heat" and "mode=cool" beside "auto", which is 0 in both.
     time_column : stamps in seconds, in another unit at the end of the name ("t [ms]", "time_min"),
@@ -142,11 +142,11 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
         usual distance of the fastest column. Outputs are interpolated between samples that are at
         most 1.75 of their steps apart, and not measured elsewhere. Over a longer step than that of
         the stamps they are means, see `Record.resample`. Of rows of one time the last counts. A
-        column that is slower than others is measured at its own stamps alone. Other files of the
-        system are read by what `Record.reading` keeps of this.
+        column that is slower than others is measured at its own stamps alone. `Record.reading`
+        keeps these choices for other files of the system.
     hold : columns that are held from stamp to stamp, as commands are, where they have to be filled;
-        other inputs are interpolated. By default those inputs that their neighbours do not tell
-        better than the value before. A held input has its mean over the step that begins at a
+        other inputs are interpolated. By default those inputs that their neighbours predict
+        no better than the value before. A held input has its mean over the step that begins at a
         sample. An input with a value in fewer than half of the rows, as one that is logged on
         change, is filled without `step`, too. A `ReadingWarning` names them.
     gaps : "refuse" values that are not finite, and missing rows between the stamps; "mask" marks

@@ -79,10 +79,10 @@ class Record:
         every comparison. None: everywhere.
     start : time stamp of the first sample, seconds or a date. None for a record without time
         stamps: other signals are then assumed to begin with it.
-    reading : what reading, `unwrap`, `clip_outliers`, `resample` and `detrend` have decided:
-        periods, limits, step and levels, in which units the samples are.
-    simulator : description of the simulator that computed y_sim, where splitband ran it: a saved
-        model knows it again by it.
+    reading : the periods, limits, step and levels that reading, `unwrap`, `clip_outliers`,
+        `resample` and `detrend` have used; they tell the units of the samples.
+    simulator : description of the simulator that computed y_sim, if splitband ran it; a saved
+        model recognises the simulator by it.
 
     Raises
     ------
@@ -227,7 +227,7 @@ class Record:
     def unwrap(self, periods: Periods) -> Record:
         """Return the record with angles and counters that go on where they jump.
 
-        Predictions of a model go on beyond a turn, too. It comes before all other preparation.
+        Unwrap before all other preparation. Predictions of a model then go on beyond a turn, too.
 
         Parameters
         ----------
@@ -300,9 +300,9 @@ class Record:
     def like(self, other: Record) -> Record:
         """Return the record, as it was measured, prepared like another one.
 
-        It is unwrapped, limited, resampled and detrended by what the `reading` of the other record
-        says, as the training record of a model, `model.fitted.record`, which takes a history in
-        its own units and step alone.
+        The record is unwrapped, limited, resampled and detrended with the values in the other
+        record's `reading`. A model takes only histories that are prepared like its training
+        record, `model.fitted.record`.
 
         Raises ValueError if it has been prepared differently before, has other names, or lacks the
         time stamps of straight lines.

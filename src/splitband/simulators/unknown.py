@@ -79,8 +79,8 @@ class Unknown(WithRepr):
     increasing : Whether each output increases with each quantity.
     bounded : Range `(low, high)` of the outputs.
     names : Names of the quantities with units for messages and drawings, such as "speed [m/s]".
-    trained : State of the term. A fit keeps one that is given, and trains a term without one,
-        which is 0 before, or in the middle of `bounded` if 0 is not inside of it.
+    trained : State of the trained term. A fit keeps a given state, and trains a term that has
+        none. Before training, a term is 0, or the middle of `bounded` if that excludes 0.
 
     Examples
     --------
@@ -231,7 +231,7 @@ class Unknown(WithRepr):
         )
 
     def holding(self, z: Array) -> Self:
-        """Return a trained term that is held outside the range of quantities `(time, nz)`."""
+        """Return a trained term that keeps its last value outside the range of `(time, nz)`."""
         assert self.trained is not None
         low, high = _range(z, self.odd)
         return replace(self, trained=replace(self.trained, low=low, high=high))
