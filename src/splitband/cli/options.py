@@ -507,7 +507,7 @@ class ModelOptions:
     )
     epochs: Epochs = None
     recipe: Recipe = _training(
-        "Training settings, where no other option sets them.", "default|constant-rate", default="default"
+        "Training settings not set by other options.", "default|constant-rate", default="default"
     )
     learning_rate: float | None = _training("Largest learning rate of Adam.", "RATE", "1e-2")
     lr_milestones: str | None = _training(
