@@ -97,8 +97,8 @@ def compare(  # noqa: PLR0913
         same result in every run.
     seed : Of all random numbers.
     seeds : Number of trainings of each network, whose median is returned, by default three. After
-        a search of settings, the largest number for the best network, by default the number
-        that does best; the other networks are trained once.
+        a search of settings, the largest number in the median of the best network, by default
+        the number that does best; the other networks are trained once.
     refit : Whether the recommended method is refitted to the whole record at the end.
     device : The device that trains networks: cpu, cuda, cuda:1.
     also : Methods of the table and the page that are never recommended, such as a simulation made
