@@ -33,6 +33,8 @@ below which it matters little: by eye."""
 ALMOST_ALL = 0.15
 """An interval is wide, too, where fewer than this multiple of the samples that may be outside are
 outside, as with 99 % in one of 90 %. By eye."""
+RARE = 0.05
+"""Chance of no sample outside above which the samples are too few to say so. Convention."""
 PARTS, BOUNDED = 4, 1.1
 """A signal that does not wander is bounded: its variance is at most `BOUNDED` times the mean
 variance of its `PARTS` parts. One that wanders varies more as a whole than in a part. By eye; the
@@ -115,7 +117,8 @@ class Interval:
             independent = _independent(spread, distinct) if varies else FEWEST
             deviation = np.sqrt(self.share * (1 - self.share) / max(independent, FEWEST))
             least, over = max(CHANCE * deviation, SLACK), coverage - self.share
-            most = min(least, (1 - ALMOST_ALL) * (1 - self.share))
+            most = (1 - ALMOST_ALL) * (1 - self.share) if self.share**independent < RARE else least
+            most = min(least, most)
             found.append("wide" if over > most else "narrow" if over < -least else "")
         return tuple(found)
 
