@@ -196,9 +196,7 @@ def test_a_nameless_record_is_called_so(tmp_path: Path) -> None:
     found = comparisons.compared(comparisons.record(name=""), ("mean", "persistence"))
     found.report(tmp_path / "page.html")
     captions = [words_of(each) for each in parsed(tmp_path / "page.html").iter("caption")]
-    assert any(
-        each.startswith("a record: every method was trained on 200 samples") for each in captions
-    )
+    assert any(each.startswith("a record: the training part has 200 samples") for each in captions)
     assert not any(each.startswith(":") for each in captions)
     assert rollouts(found).get_suptitle().startswith("a record; recommended: ")
 

@@ -183,7 +183,7 @@ class ComplementaryPair:
     def combine(
         self, *, low: Signal, high: Signal, first: Signal | None = None, dim: int | None = None
     ) -> Signal:
-        """Return L(low) + H(high), shaped like them (Ensinger et al. 2023, Eq. 6, joint recurrence).
+        """Return L(low) + H(high) (Ensinger et al. 2023, Eq. 6, joint recurrence).
 
         One way, `first` may give the first P outputs of the sum. The recurrence is linear: the low
         band is filtered separately, and the high band starts from `first` minus the low band. A

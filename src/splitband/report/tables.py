@@ -39,10 +39,10 @@ def of_comparison(comparison: Comparison) -> Table:
     """Return the table of a comparison: one row per method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = " Errors are against the noise-free signal." if record.y_true is not None else ""
-    ahead = f", then predicted the next {len(record) - train:,} in one {run_of(record)}"
-    tests = f", then simulated {' and '.join(t.name for t in comparison.tests)}"
+    ahead = f"; each method then predicted the next {len(record) - train:,} in one {run_of(record)}"
+    tests = f"; each method then simulated {' and '.join(t.name for t in comparison.tests)}"
     title = (
-        f"{_called(record)}: every method was trained on {train:,} samples"
+        f"{_called(record)}: the training part has {train:,} samples"
         + (ahead if train < len(record) else "")
         + (tests if comparison.tests else "")
         + f". {what_was_known(comparison)}{truth}{_from_origins(comparison)}"

@@ -175,7 +175,7 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
     """Return the verdicts of the residual tests of the recommended method, with the tests."""
     where = "the samples after the training part"
     if comparison.medians[comparison.recommended].tests:
-        where = f"test record {comparison.tests[0].name or 1}"
+        where = f"test record {comparison.tests[0].name or 1}{_one_ahead(comparison)}"
     tests = comparison.residual_tests
     return {f"{test.verdict()} (Tested on {where}.)": test for test in tests}
 
@@ -184,7 +184,15 @@ def answer(comparison: Comparison) -> list[str]:
     """Return sentences on the fit of the recommended method, and on what it does not explain."""
     fits = "; ".join(f"{of}: {facts[0]}" for of, facts in headline(comparison))
     left = [unexplained(test) for test in comparison.residual_tests]
+    if left and (how := _one_ahead(comparison)):
+        left.append(f"The residuals are those of the test record{how}, as the model is unstable.")
     return [" ".join([sentence(fits), *left]), *gravest(comparison), *afterwards(comparison)]
+
+
+def _one_ahead(comparison: Comparison) -> str:
+    """Return how the residuals come about where a test record is not simulated."""
+    fit = comparison.medians[comparison.recommended]
+    return ", predicted one sample ahead" if fit.tests and not fit.report.stable else ""
 
 
 def unexplained(test: ResidualTests) -> str:
@@ -280,6 +288,8 @@ def _useless_term(comparison: Comparison) -> list[str]:
         return []
     found, alone, best = (scores[name] for name in names)
     if found * (1 + WORTH_TRAINING) < alone or best >= found:
+        return []
+    if found == alone:  # left out, or not trained in time: the description says which
         return []
     return [
         f"The unknown terms help little (held-out RMSE {number(found)}, without them "
