@@ -185,7 +185,8 @@ def _exported(
             f"{file} must have the record's columns {', '.join(record.columns)}, or columns "
             f"(--simulator-columns) must choose {record.ny} of {', '.join(exported.columns)}"
         )
-    if (missing := ~np.isfinite(y).all(axis=1)).any():
+    missing = np.asarray(np.isnan(y).any(axis=1))
+    if missing.any():
         raise InputError(
             f"{file} must have a value at each time, got {missing.sum()} samples without one: "
             f"{row_ranges(missing)}"
