@@ -10,6 +10,7 @@ import pytest
 import scipy
 
 import splitband as sb
+from benchmarks.closed_loop import pendulum
 from splitband.metrics import tenths
 from tests.cli.support import assert_fails, call, results
 
@@ -82,6 +83,28 @@ def test_several_models_are_drawn_over_one_record_with_their_fits_in_a_table(
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "2 models on second" in page
     assert all(name in page for name in names)
+
+
+@pytest.mark.usefixtures("drawn")
+def test_several_models_are_compared_the_same_number_of_samples_ahead(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also an unstable one, of which no free run is demanded."""
+    made = pendulum(0)
+    table = pd.DataFrame({"time": made.sampling_time * np.arange(len(made)), **made.signals})
+    table.to_csv(tmp_path / "record.csv", index=False)
+    columns = [made.columns[0]]
+    record = sb.read(tmp_path / "record.csv", columns=columns, inputs=[*made.inputs])
+    for name, model in (("linear", sb.Linear()), ("held", sb.Persistence())):
+        model.fit(record).save(tmp_path / name)
+    line = f"check {tmp_path}/linear {tmp_path}/held --record {tmp_path}/record.csv"
+    call(line, tmp_path / "out")
+    unstable, held = (of["fit"] for of in results(tmp_path / "out")["models"].values())
+    assert [*held] == ["simulation", *unstable]
+    lines = capsys.readouterr().out.splitlines()
+    row = next(line for line in lines if "last value" in line and "│" in line)
+    shown = [cell.strip() for cell in row.split("│")[2:-1]]
+    assert shown == [tenths(fit) for of in held.values() for fit in of.values()]
 
 
 def test_models_of_differently_prepared_records_are_not_drawn_over_one(

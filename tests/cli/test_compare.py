@@ -195,3 +195,10 @@ def test_a_simulation_made_elsewhere_is_a_row_and_never_recommended(
     assert_fails(f"{alone} --out {tmp_path}/no", ("window",), capsys)
     says = "--also", "must cover"
     assert_fails(f"{line.replace('mine', 'half')} --out {tmp_path}/no", says, capsys)
+    record.loc[[3, 5], "a"] = np.nan
+    record[["time", "a"]].to_csv(tmp_path / "half.csv", index=False)
+    says = "--also", "2 samples without one: rows 3, 5"
+    assert_fails(f"{line.replace('mine', 'half')} --out {tmp_path}/no", says, capsys)
+    # Both records begin at 0 s: the simulation of one is none of the other.
+    call(f"{line} --test record.csv", tmp_path / "other")
+    assert f"Not tested: harmonic, {mine}." in " ".join(capsys.readouterr().out.split())

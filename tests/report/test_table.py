@@ -219,6 +219,23 @@ def test_a_terminal_folds_words_and_shows_every_number(
         assert text in str(found)
 
 
+@pytest.mark.parametrize("width", [20, 40, 60, 100])
+def test_a_terminal_that_is_too_narrow_for_a_table_gets_a_list(
+    width: int, scales: Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A table that is cut at the edge shows 98.75 as 98."""
+    monkeypatch.setattr(printing.console, "width", width)
+    monkeypatch.setattr(printing.console, "soft_wrap", False)
+    with printing.console.capture() as captured:
+        printing.table(of_comparison(scales))
+    said = captured.get().split()
+    for column in columns(scales):
+        for name in (
+            column.values if column.heading not in ("score", "fit (s)", "trainings") else ()
+        ):
+            assert column.entry(name).split()[0] in said
+
+
 def test_reasons_have_columns_of_their_own_on_request() -> None:
     name = "filtered-state-space-calibrated-conditioned"
     numbers = {name: 0.123, "mean": 0.5}

@@ -179,6 +179,13 @@ def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> M
     return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond, title)
 
 
+def usual_ahead(forecaster: Forecaster) -> int:
+    """Return the default of `ahead` of `check`."""
+    if forecaster.held_out is not None and forecaster.held_out.ahead is not None:
+        return forecaster.held_out.ahead
+    return forecaster.require_fitted().report.reach or AHEAD
+
+
 def tests_of(record: Record, simulated: Prediction, late: bool) -> tuple[ResidualTests, ...]:
     """Test the residuals of a simulation or forecast to the end of a record.
 
@@ -225,10 +232,7 @@ def _ahead(
     forecaster: Forecaster, record: Record, begin: int, ahead: int | None
 ) -> dict[str, tuple[float, ...]]:
     """Return the fits of predictions some samples ahead, from many origins."""
-    usual = forecaster.require_fitted().report.reach
-    if forecaster.held_out is not None and forecaster.held_out.ahead is not None:
-        usual = forecaster.held_out.ahead
-    origins = many_origins(0, begin, len(record), ahead or usual or AHEAD)
+    origins = many_origins(0, begin, len(record), ahead or usual_ahead(forecaster))
     if not origins and ahead is not None:
         raise InputError(
             f"ahead must be at most {len(record) - begin}, the samples of the record after a "

@@ -56,8 +56,10 @@ def check(
     several models, their simulations are drawn over the same record, and a table has their fits.
     """
     checked = dict[str, results.Checked]()
-    for folder in dict.fromkeys(model_dirs):
-        model = load(folder)
+    models = {folder: load(folder) for folder in dict.fromkeys(model_dirs)}
+    if ahead is None and len(models) > 1:  # alike for all
+        ahead = min(map(checks.usual_ahead, models.values()))
+    for folder, model in models.items():
         past = records.history_of(record, "--record", model, files)
         first = next((each.check.record for each in checked.values()), past)
         if past.columns != first.columns or not np.array_equal(past.y, first.y, equal_nan=True):

@@ -79,6 +79,8 @@ def inspect(
 def _show(found: Inspection, command: str) -> None:
     """Print the columns, sentences, warnings and the command."""
     shown = Table("column", "likely", "range", "missing", "why", title=found.record.name)
+    for each in shown.columns:
+        each.overflow = "fold"
     for column in found.columns:
         missing = str(column.missing or "")
         shown.add_row(column.name, column.role, column.range, missing, ", ".join(column.reasons))

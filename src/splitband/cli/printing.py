@@ -23,6 +23,8 @@ from splitband.report.table import Table
 from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
 
+LEAST_NAME = 12
+"""Least width of the names of rows in a table; a narrower terminal gets a list. Layout."""
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
     width=None if sys.stdout.isatty() else 100,
@@ -144,7 +146,9 @@ def table(shown: Table) -> None:
     """
     if shown.title:
         console.print(shown.title, style="bold")
-    console.print(shown.drawn(verbose()))
+    drawn = shown.drawn(verbose())
+    least = sum((column.min_width or LEAST_NAME) + 3 for column in drawn.columns) + 1
+    console.print(shown.listed(verbose()) if least > console.width else drawn)
     for line in shown.remarks(verbose()):
         console.print(line, style="dim")
 

@@ -314,8 +314,8 @@ def _how(options: SimulatorOptions, time_column: str | None) -> dict[str, Any]:
 def elsewhere(file: str, record: Record, reading: RecordOptions) -> Forecaster:
     """Return the method that predicts with the simulation of a file."""
     _check_file(file, "--also must be a file")
-    opened = open_simulator(file, record, time_column=reading.time_column)
     try:
+        opened = open_simulator(file, record, time_column=reading.time_column)
         simulated(record, opened)  # so that what is wrong is said at once
     except InputError as error:
         raise InputError(f"--also: {error}") from None

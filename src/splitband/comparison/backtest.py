@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
@@ -26,6 +27,7 @@ from splitband.forecasters.held_out import (
 )
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.simulation import simulations
 from splitband.metrics import ExtrapolationWarning, spread
 from splitband.records import Record
 from splitband.records.signals import first_after
@@ -206,6 +208,13 @@ def _finished(found: Fit, spec: BacktestSpec, began: float, *notes: str) -> Fit:
     model, tests = found.fitted, list[Prediction]()
     from_many = list[Mapping[Origin, Prediction]]()
     simulated = "simulator" not in model.needs or all(t.y_sim is not None for t in spec.tests)
+    # Recorded output without dates is of the training record: other records begin at 0 s, too.
+    simulated &= not any(
+        part.simulator is not None
+        and part.simulator.own_times
+        and not isinstance(part.simulator.start, pd.Timestamp)
+        for part in simulations(model)
+    )
     for test in spec.tests if simulated and not model.anchored else ():
         try:
             at = first_origin(test, 0, spec.initial or model.warmup or spec.warmup).at

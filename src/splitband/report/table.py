@@ -184,6 +184,16 @@ class Table:
                 table.add_row(head, *cells, end_section=bool(lines) and line == lines[-1])
         return table
 
+    def listed(self, details: bool = False) -> str:
+        """Return the rows of `drawn` with each number on a line, for narrow terminals."""
+        lines = list[str]()
+        for name in self.rows:
+            lines.append("* " * (name == self.recommended) + titled(name, self.words(name)))
+            for c in self.columns:
+                if name in c.values and (details or c.heading not in DETAILS):
+                    lines.append("  " + f"{c.line} {c.shown}: {c.entry(name)}".lstrip())
+        return "\n".join(lines)
+
     def as_text(self, width: int = 100) -> str:
         """Return the table as text in lines of `width` characters.
 

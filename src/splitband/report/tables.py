@@ -311,6 +311,7 @@ COLUMNS = {
 def of_checks(checks: Mapping[str, ModelCheck]) -> Table:
     """Return the table of checks of several models on one record, by the names of the models."""
     record = next(iter(checks.values())).record
+    horizons = dict.fromkeys(h for each in checks.values() for h in each.fits)
     columns = [
         Column(
             f"{horizon} fit %",
@@ -318,10 +319,13 @@ def of_checks(checks: Mapping[str, ModelCheck]) -> Table:
             {n: each.fits[horizon][i] for n, each in checks.items() if horizon in each.fits},
             channel if record.ny > 1 else "",
         )
-        for horizon in dict.fromkeys(h for each in checks.values() for h in each.fits)
+        for horizon in sorted(horizons, key="simulation".__ne__)  # unstable models have none
         for i, channel in enumerate(record.columns)
     ]
-    rows = {n: f"{each.outcome}. {' '.join(each.in_words())}" for n, each in checks.items()}
+    rows = {
+        name: " ".join(f"{said.removesuffix('.')}." for said in (each.outcome, *each.in_words()))
+        for name, each in checks.items()
+    }
     labels = {name: titled(name, each.title) for name, each in checks.items()}
     title = f"{_called(record)}: models on {len(record):,} samples"
     return Table(title, columns, rows, "model", labels=labels)

@@ -14,6 +14,7 @@ from splitband.records import Grid, Record, read
 from splitband.records.alignment import log
 from splitband.records.columns import ColumnError
 from splitband.records.preparation import check_level, going_on, in_turn
+from splitband.records.signals import row_ranges
 from splitband.records.timing import in_words
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -174,14 +175,21 @@ def _takes_inputs(file: str, name: str, record: Record) -> bool:
 def _exported(
     file: str, record: Record, columns: Sequence[str], time_column: str | None
 ) -> Recorded:
-    exported = read_beside(file, record.sampling_time, time_column, columns=columns or None)
-    y = exported.y
+    how: dict[str, Any] = {"columns": columns or None, "gaps": "mask"}
+    exported = read_beside(file, record.sampling_time, time_column, **how)
+    y = exported.y_with_gaps
     if not columns and set(record.columns) <= set(exported.columns):
         y = y[:, [exported.columns.index(name) for name in record.columns]]
     if y.shape[1] != record.ny:
         raise InputError(
-            f"columns (--simulator-columns) must choose {record.ny} column(s), as many as the "
-            f"record has, out of {', '.join(exported.columns)} in {file}"
+            f"{file} must have the record's columns {', '.join(record.columns)}, or columns "
+            f"(--simulator-columns) must choose {record.ny} of {', '.join(exported.columns)}"
+        )
+    missing = np.asarray(np.isnan(y).any(axis=1))
+    if missing.any():
+        raise InputError(
+            f"{file} must have a value at each time, got {missing.sum()} samples without one: "
+            f"{row_ranges(missing)}"
         )
     name = f"simulator {file}: the exported trajectory"
     return Recorded(y, exported.sampling_time, exported.start, name)
