@@ -8,7 +8,7 @@ it is named like an input, and whether it follows others. Constants were chosen 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -113,6 +113,8 @@ class Inspection:
     record : The record with its columns as they probably are; constant ones are left out.
     columns : All columns.
     dead_times : Dead time in s of each input at each output, by their names.
+    doubtful : Those that neither half of the record shows by itself: a slow or nonlinear response
+        can look like one.
     peaks : Strongest peaks of the outputs' spectrum: frequency in Hz and share of the power.
     train : First samples, on which the cut-off is chosen.
     bands : Cut-off that `compare` chooses on the same ones for methods of two bands.
@@ -124,6 +126,7 @@ class Inspection:
     record: Record
     columns: tuple[InspectedColumn, ...]
     dead_times: Mapping[tuple[str, str], float]
+    doubtful: Collection[tuple[str, str]]
     peaks: Sequence[tuple[float, float]]
     train: int
     bands: Bands
@@ -151,7 +154,11 @@ class Inspection:
     def _dead_times(self) -> list[str]:
         step = self.record.sampling_time
         late = {pair: seconds for pair, seconds in self.dead_times.items() if seconds}
-        said = [f"{u} to {y} {s:.4g} s ({s / step:.0f} samples)" for (u, y), s in late.items()]
+        doubt = "; uncertain, as neither half of the record shows it"
+        said = [
+            f"{u} to {y} {s:.4g} s ({s / step:.0f} samples{doubt * ((u, y) in self.doubtful)})"
+            for (u, y), s in late.items()
+        ]
         return [f"dead time: {', '.join(said) or 'none'}"] if self.dead_times else []
 
     def _spectrum(self) -> list[str]:
@@ -183,8 +190,8 @@ class Inspection:
             "inputs": [*record.inputs],
             "outputs": [*record.columns],
             "dead_times": [
-                {"input": name, "output": output, "seconds": late}
-                for (name, output), late in self.dead_times.items()
+                {"input": u, "output": y, "seconds": late, "doubtful": (u, y) in self.doubtful}
+                for (u, y), late in self.dead_times.items()
             ],
             "peaks": [{"frequency": f, "share": share} for f, share in self.peaks],
             "train": self.train,
@@ -241,10 +248,11 @@ def inspect(
     bands = _bands(training, bands or Bands())
     spectrum, rate = periodogram(record.y, record.sampling_rate), record.sampling_rate
     above = 1 - periodogram(training.y, rate).share_below(bands.cutoff or rate)
-    late, beside = _dead_times(record), simulator_check(record, train, bands)
+    (late, doubtful), beside = _dead_times(record), simulator_check(record, train, bands)
     said = [*of_runs(columns), *record.warnings()]
     said += [] if beside is None else beside.warnings()
-    return Inspection(record, columns, late, spectrum.peaks(), train, bands, above, beside, said)
+    peaks = spectrum.peaks()
+    return Inspection(record, columns, late, doubtful, peaks, train, bands, above, beside, said)
 
 
 def holds_words(column: Column) -> bool:
@@ -445,23 +453,28 @@ def _arranged(record: Record, columns: Sequence[InspectedColumn]) -> Record:
     )
 
 
-def _dead_times(record: Record) -> dict[tuple[str, str], float]:
-    """Return the dead times in s by input and output, from the first samples of a long record.
+def _dead_times(
+    record: Record,
+) -> tuple[dict[tuple[str, str], float], frozenset[tuple[str, str]]]:
+    """Return the dead times in s by input and output, and which of them neither half shows.
 
-    One that neither half of them shows counts as none: it stands for a slow or nonlinear response.
+    They are those of the first samples of a long record.
     """
     if record.u is None:
-        return {}
+        return {}, frozenset()
     y, u = record.y_with_gaps[:DEAD_TIME_ROWS], record.u[:DEAD_TIME_ROWS]
     delays, middle = delays_of([(y, u)]).taken, len(y) // 2
+    shown = np.ones(delays.shape, bool)
     if delays.any():
         halves = (delays_of([(y[half], u[half])]) for half in (slice(middle), slice(middle, None)))
-        delays = np.where(np.any([abs(h.taken - delays) <= 1 for h in halves], axis=0), delays, 0)
-    return {
-        (name, output): max(int(delays[k, j]) - 1, 0) * record.sampling_time
+        shown = np.any([abs(h.taken - delays) <= 1 for h in halves], axis=0) | (delays == 0)
+    pairs = {
+        (name, output): (k, j)
         for j, name in enumerate(record.inputs)
         for k, output in enumerate(record.columns)
     }
+    late = {pair: max(int(delays[at]) - 1, 0) * record.sampling_time for pair, at in pairs.items()}
+    return late, frozenset(pair for pair, at in pairs.items() if late[pair] and not shown[at])
 
 
 def _bands(training: Record, given: Bands) -> Bands:
