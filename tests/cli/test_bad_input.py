@@ -83,7 +83,7 @@ SIMULATORS = [
     bad(f"{GRU} --simulator-start 5", "--simulator must be given"),
     bad(SIMULATOR + "broken.py:good", "broken.py", "SyntaxError"),
     bad(SIMULATOR + "simulated_short.csv", "simulated_short.csv", "0 s to 19.9 s", "0 s to 18.9 s"),
-    bad(SIMULATOR + "simulated_names.csv", "--simulator-columns", "1 column", "p, q"),
+    bad(SIMULATOR + "simulated_names.csv", "--simulator-columns", "1 of p, q"),
     bad(SIMULATOR + "functions.py:raising", "200 samples", "RuntimeError", "no convergence after"),
     bad(SIMULATOR + "functions.py:hanging --simulator-timeout 0.2", "simulator", "0.2 s"),
     bad(SIMULATOR + "functions.py:good --simulator-timeout -1", "--simulator-timeout"),
