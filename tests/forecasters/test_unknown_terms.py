@@ -117,3 +117,7 @@ def test_it_is_said_where_a_state_is_missing() -> None:
     result = sb.compare(record, 180, ["grey-box", without, "linear"], simulator=ode)
     said = [each for each in words.warnings(result) if "unknown terms help little" in each]
     assert len(said) == (result.recommended == "linear") == 1
+    trial = result.require_trial()
+    left_out = {**trial.scores, "grey-box": trial.scores[without.name]}
+    other = replace(result, trial=replace(trial, scores=left_out))
+    assert any("unknown terms are left out of the model" in each for each in words.warnings(other))

@@ -280,16 +280,19 @@ def _seen(comparison: Comparison) -> list[str]:
 
 
 def _useless_term(comparison: Comparison) -> list[str]:
-    """Return a sentence on unknown terms that help little where a method without them is better."""
+    """Return a sentence on unknown terms that are left out, or help less than another method."""
     scores, simulator = comparison.require_trial().scores, comparison.plan.simulator
     without = WITHOUT_TERMS if WITHOUT_TERMS in scores else UNFITTED_SIMULATOR
     names = GREY_BOX, without, comparison.recommended
     if simulator is None or not simulator.terms or not {*names} <= scores.keys():
         return []
     found, alone, best = (scores[name] for name in names)
+    if np.isclose(found, alone, rtol=1e-6):
+        return [
+            "The unknown terms are left out of the model: they did not help on held-out samples, "
+            "or the time was over before they were trained; then --budget must be longer."
+        ]
     if found * (1 + WORTH_TRAINING) < alone or best >= found:
-        return []
-    if found == alone:  # left out, or not trained in time: the description says which
         return []
     return [
         f"The unknown terms help little (held-out RMSE {number(found)}, without them "
