@@ -113,7 +113,7 @@ def test_a_baseline_has_a_part_of_the_time_where_there_is_one_process(
 
 def test_a_fit_that_would_take_too_long_again_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splitband.comparison.clock.MOST_OF_BASELINE", 1e6)
-    monkeypatch.setattr("splitband.comparison.clock.BASELINE_SHARE", 0.9)
+    monkeypatch.setattr("splitband.comparison.clock.MOST_OF_TIME_LEFT", 0.9)
     clock = slowed(monkeypatch, 1.0)
     planned = plan(PlanRequest(RECORD, TRAIN, [Patient(), "mean"], budget=1e6, **SMALL))
     result = run(planned, clock=Clock(300.0, clock.at))

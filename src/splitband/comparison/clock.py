@@ -13,11 +13,10 @@ from splitband.runtime.deadlines import Deadline, now
 
 MOST_OF_TIME_LEFT = 0.5
 """Largest share of the time left for what is done once before the best go on: fits of simulators,
-and further choices of training settings. Bounds the time."""
+further choices of training settings, a fit without networks. Bounds the time."""
 
-BASELINE_SHARE, MOST_OF_BASELINE = 0.1, 10.0
-"""Share of the time of a command in which a fit without networks has to end with what it has, and
-most seconds of it. Bounds the time."""
+MOST_OF_BASELINE = 10.0
+"""Most seconds in which a fit without networks has to end with what it has. Bounds the time."""
 
 
 @dataclass(eq=False)
@@ -78,7 +77,7 @@ class Clock:
         """Return the seconds of a fit without networks; without a limit they do not end it."""
         if self.limit is None:
             return math.inf
-        return min(BASELINE_SHARE * self.limit, MOST_OF_BASELINE)
+        return min(MOST_OF_TIME_LEFT * self.limit, MOST_OF_BASELINE)
 
     def enter(self, part: str) -> str:
         """End the present part of the command, begin another one, and return the present one."""
