@@ -52,6 +52,12 @@ def check(path: Path, step: float, start: Any, columns: tuple[str, ...], **optio
         ),
         (table(lambda i: f"{i / 120:.6f}"), 1 / 120, 0, ("y",)),  # a camera of 120 Hz
         (table(lambda i: f"{DAYS[i]:%d.%m.%Y %H:%M}"), 86400, DAYS[0], ("y",)),
+        (
+            table(lambda i: f"{HOURS[i]:%d.%m.%Y %H:%M:%S}", "Zeitstempel,y\n"),
+            3600,
+            HOURS[0],
+            ("y",),
+        ),
     ],
 )
 def test_files_that_are_read(
@@ -155,6 +161,7 @@ def test_names_may_be_like_the_words_below(tmp_path: Path) -> None:
 
 def test_a_unit_that_is_not_known_is_refused(tmp_path: Path) -> None:
     path = text_file(tmp_path, table(str, "Zeit [ticks],y\n"))
+    assert "such as 'Zeit [ticks]', which increases" in message(path)
     assert "a unit that is not known, 'ticks'" in message(path, time_column="Zeit [ticks]")
 
 

@@ -21,6 +21,7 @@ from splitband.records.signals import (
 from splitband.records.stamps import (
     TIME_NAMES,
     also_time,
+    holds_dates,
     is_clock_number,
     is_day,
     is_time,
@@ -76,7 +77,7 @@ def pick(
         dated = any(w == "date" and table[c].is_unique for c, w in words.items())
         timed.sort(key=lambda c: (dated and words[c] == "t", TIME_NAMES.index(words[c])))
         _check_alike(table, timed)
-        stamps = _dated(table, timed)
+        stamps = _dated(table, timed) or [c for c in [*table][:1] if holds_dates(table[c])]
     reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
     usable = [c for c, reason in reasons.items() if not reason]
     if columns is not None:

@@ -514,8 +514,10 @@ def _spacing(times: Times | None, table: Table, how: _How) -> Spacing | None:
             given = float(numbers(f"variable {name!r}", table[name])[0])
     given = fallback if given is None else given
     if given is None:
+        rising = [n for n, x in table.items() if x.is_monotonic_increasing and x.is_unique]
+        increases = f", such as {rising[0]!r}, which increases" if rising else ""
         raise InputError(
             "there is no time column: pass sampling_time (--sampling-time) in seconds, "
-            f"or time_column (--time-column); {available(table)}"
+            f"or time_column (--time-column){increases}; {available(table)}"
         )
     return Spacing(given)

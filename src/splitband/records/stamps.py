@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,6 +67,8 @@ _SERIAL_DAYS = {
 _FINER = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 _STEPS_IN_MS = (8, 10, 16, 17, 20, 25, 33, 40, 50, 100, 125, 200, 250, 500)
 """Common sampling times of loggers in whole milliseconds, other than usual ones in seconds."""
+_SHOWING = 100
+"""Cells that show what a column holds. Bounds the time."""
 _DIGITS = "%Y%m", "%Y%m%d", "%y%m%d%H%M", "%Y%m%d%H", "%Y%m%d%H%M", "%Y%m%d%H%M%S"
 """Dates that are written as one number."""
 
@@ -117,6 +120,17 @@ def also_time(name: str, column: Column) -> bool:
         return False
     values = pd.to_numeric(column, errors="coerce").dropna().to_numpy(dtype=np.float64)
     return len(values) > 1 and bool((np.diff(values) > 0).all())
+
+
+def holds_dates(column: Column) -> bool:
+    """Return whether the first cells of a column are dates in order, in words."""
+    first = column.iloc[:_SHOWING]
+    if not len(first) or not is_text(first) or has_number(first) or first.isna().any():
+        return False
+    with suppress(InputError):
+        found, order = _of_dates("", first), pd.Index(first).is_unique
+        return order and found.date is not None and bool((np.diff(found.seconds) >= 0).all())
+    return False
 
 
 def is_day(column: Column) -> bool:
