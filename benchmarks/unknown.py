@@ -5,9 +5,11 @@
     python -m benchmarks.unknown intervals [--seeds 200]
     python -m benchmarks.unknown gradient
     python -m benchmarks.unknown --table
+    python -m benchmarks.unknown intervals --again 3
 
 A run is a line of OUT with its commit and the hash of the code that decides it, and what is there
-by the same code is not run again. `--rounds 0` leaves out networks. The
+by the same code is not run again. `--again` runs stored ones of older code to see whether they
+come out the same. `--rounds 0` leaves out networks, and the rooms of comparisons. The
 drive, the pendulum, the spring and the crane are simulated, 2,000 samples for training and 1,000
 to forecast, with noise of 1 % of the output's deviation. `intervals` counts how often the 95 %
 interval of the drive's inertia holds the truth. The tanks are the public record, on which one of
@@ -33,7 +35,6 @@ import splitband as sb
 from benchmarks import claims
 from benchmarks.sets import SETS, load
 from splitband.records.named import overhead_crane
-from splitband.report import words
 from splitband.report.environment import environment
 
 Array = npt.NDArray[np.float64]
@@ -158,6 +159,8 @@ def compared(
         ahead = {name: fits[0].ahead for name, fits in result.fits.items()}
         model: Any = result.fits["grey-box"][0].fitted
         facts = {"best": result.recommended}
+        from splitband.report import words  # noqa: PLC0415  loads the rooms of comparisons
+
         facts |= {"says": [w for w in words.warnings(result) if "unknown terms" in w]}
     else:
         model = sb.GreyBox(ode).fit(record[:TRAIN], seed=seed)
@@ -286,6 +289,23 @@ def table(rows: Sequence[claims.Row]) -> str:
     return "\n".join([*lines, claims.note(rows)])
 
 
+def again(rows: Sequence[claims.Row], count: int) -> None:
+    """Run some stored rows, of one hash and the same rooms, once more.
+
+    If all facts are the same, to the bit, the hash is listed as equal to today's.
+    """
+    from benchmarks.frozen import list_as_equal  # noqa: PLC0415  loads the rooms of comparisons
+
+    lines = []
+    for row in rows[:: max(1, len(rows) // count)][:count]:
+        same = RUNS[row["system"]](row["seed"], row["rounds"]) == row["facts"]
+        lines.append(f"{row['system']}, seed {row['seed']}: {'equal' if same else 'other'}")
+        print(lines[-1], flush=True)
+    if all(line.endswith("equal") for line in lines):
+        pair = [rows[0]["sources"], claims.sources(rooms=rows[0]["rooms"])]
+        list_as_equal(rows[0]["commit"], pair, lines)
+
+
 def main() -> None:
     """Run what is missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -295,12 +315,17 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--table", action="store_true")
+    parser.add_argument("--again", type=int, default=0, help="stored rows to compare with")
     given = parser.parse_args()
     text = given.out.read_text(encoding="utf-8") if given.out.exists() else ""
     rows = [json.loads(line) for line in text.splitlines()]
+    if given.again:
+        old = [row for row in rows if row["system"] in given.systems and not claims.current(row)]
+        again([row for row in old if row["sources"] == old[0]["sources"]], given.again)
+        return
     current = filter(claims.current, rows)
     done = {(row["system"], row["seed"], row["rounds"]) for row in current}
-    commit = environment()["commit"] if given.systems else ""
+    commit = environment()["commit"]
     for name in given.systems:
         for seed in range(given.first, given.first + given.seeds):
             if (name, seed, given.rounds) in done:
@@ -309,7 +334,8 @@ def main() -> None:
             facts = RUNS[name](seed, given.rounds)
             row = {"system": name, "seed": seed, "rounds": given.rounds, "facts": facts}
             row |= {"seconds": round(perf_counter() - began, 1), "commit": commit}
-            rows.append(row | {"sources": claims.sources()})
+            rooms = claims.loaded()
+            rows.append(row | {"rooms": rooms, "sources": claims.sources(rooms=rooms)})
             print(json.dumps(rows[-1]), flush=True)
             with given.out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(rows[-1]) + "\n")

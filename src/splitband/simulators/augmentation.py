@@ -101,7 +101,7 @@ def beginnings(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def held(shooting: Shooting, path: Sequence[Array]) -> tuple[Trained, ...]:
-    """Return the states of trained terms, held outside the range that the records visited."""
+    """Return the states of trained terms, with the range that the records visited."""
     states = list[Any]()
     for term in shooting.simulator.terms:
         if term.trained is None:
