@@ -61,17 +61,16 @@ def evaluate(  # noqa: PLR0912, PLR0915  one loop, for Numba
                 weight = weight * weight if increasing else weight
                 total += weight * scaled[q]
                 along += weight * beyond[q]
-            units[3 * h] = theta[bias + h] + total  # for z, and of an odd term for -z
-            units[3 * h + 1] = odd * (theta[bias + h] - total)
-            units[3 * h + 2] = along
-        for h in range(nh):
-            units[3 * h] = tanh(units[3 * h])
-            units[3 * h + 1] = tanh(units[3 * h + 1])
+            units[h] = theta[bias + h] + total  # for z, and of an odd term for -z
+            units[nh + h] = odd * (theta[bias + h] - total)
+            units[2 * nh + h] = along
+        for i in range(2 * nh):
+            units[i] = tanh(units[i])
         for o in range(no):
             value = theta[last + o] if nh and not odd else 0.0
             for h in range(nh):
                 weight = theta[second + o * nh + h]
-                above, below, along = units[3 * h], units[3 * h + 1], units[3 * h + 2]
+                above, below, along = units[h], units[nh + h], units[2 * nh + h]
                 steep = 1.0 - above * above + odd * (1.0 - below * below)
                 value += (weight * weight if increasing else weight) * (
                     above - below + steep * along
@@ -92,12 +91,12 @@ def evaluate(  # noqa: PLR0912, PLR0915  one loop, for Numba
             if nh and not odd:
                 by_theta[out + o, last + o] = factor
             for h in range(nh):
-                weight, above, below = theta[second + o * nh + h], units[3 * h], units[3 * h + 1]
+                weight, above, below = theta[second + o * nh + h], units[h], units[nh + h]
                 weight, double = (weight * weight, 2.0 * weight) if increasing else (weight, 1.0)
                 rise, fall, along = (
                     1.0 - above * above,
                     odd * (1.0 - below * below),
-                    units[3 * h + 2],
+                    units[2 * nh + h],
                 )
                 value = above - below + (rise + fall) * along
                 by_theta[out + o, second + o * nh + h] = factor * double * value
