@@ -3,7 +3,8 @@
     python -m benchmarks.claims         count the stored runs whose code has changed since
 
 A run carries `sources`: a hash of all code that decides accuracy, as Python's parser reads it, so
-that comments, docstrings and layout do not count. It is current if that is today's hash, or if
+that comments, docstrings and layout do not count. A run with `rooms` is decided by these alone: no
+other one was loaded in its process. It is current if the hash is today's, or if
 `python -m benchmarks.frozen COMMIT --list` found the same numbers, to the bit, for both. A commit
 would need the history, which shallow clones lack, and would change when branches are rebased. Runs
 without a hash are older than it. Tables mark what is not current; README.md leaves it out.
@@ -17,6 +18,7 @@ import hashlib
 import json
 import os
 import platform
+import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -39,11 +41,16 @@ SIGN = "†"
 _STEPS = 60
 
 
-def sources(root: Path = ROOT) -> str:
-    """Return the hash of the code below `root` that decides accuracy."""
+def loaded() -> list[str]:
+    """Return the rooms that decide accuracy of which this process has loaded something."""
+    return [room for room in ROOMS if f"splitband.{room}" in sys.modules]
+
+
+def sources(root: Path = ROOT, rooms: Sequence[str] = ROOMS) -> str:
+    """Return the hash of the code below `root`, in these rooms, that decides accuracy."""
     package, found = root / "src/splitband", hashlib.sha256()
     paths = [package / "metrics.py"]
-    paths += sorted(path for room in ROOMS for path in (package / room).rglob("*.py"))
+    paths += sorted(path for room in rooms for path in (package / room).rglob("*.py"))
     for path in paths:
         told = _told(ast.parse(path.read_text(encoding="utf-8")))
         found.update(f"{path.relative_to(package).as_posix()}: {told}\n".encode())
@@ -72,10 +79,10 @@ def _is_text(node: Any) -> bool:
 
 
 @cache
-def equal(path: Path = EQUAL) -> frozenset[str]:
+def equal(path: Path = EQUAL, rooms: Sequence[str] = ROOMS) -> frozenset[str]:
     """Return the hashes of the sources that are known to compute what today's do."""
     pairs = [{*row["sources"]} for row in read(path)]
-    found = {sources()}
+    found = {sources(rooms=rooms)}
     while more := {each for pair in pairs if pair & found for each in pair} - found:
         found |= more
     return frozenset(found)
@@ -83,7 +90,8 @@ def equal(path: Path = EQUAL) -> frozenset[str]:
 
 def current(row: Row) -> bool:
     """Return whether a run is of today's sources, or of equal ones."""
-    return row.get("sources") in equal()
+    rooms = tuple(row.get("rooms", ROOMS))
+    return row.get("sources") in equal(rooms=rooms)
 
 
 def sign(rows: Iterable[Row]) -> str:

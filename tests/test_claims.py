@@ -114,7 +114,7 @@ def test_the_readme_shows_a_record_once_five_seeds_are_of_todays_code(
     old = [{"record": "silverbox", "errors": [9e-4], "commit": "old"} | asked] * 5
     new = [{"record": "tanks5", "errors": [0.2 + 0.01 * i]} | asked | TODAY for i in range(5)]
     few = [{"record": "drill string", "errors": [0.3]} | asked | TODAY] * 4
-    monkeypatch.setattr(claims, "equal", lambda: {"today"})
+    monkeypatch.setattr(claims, "equal", lambda **_: {"today"})
     monkeypatch.setattr(claims, "read", lambda path: [*old, *new, *few])
     text = tables.readme_benchmarks()
     assert "| 0.220 V | 0.200 to 0.240 |" in text
@@ -125,7 +125,7 @@ def test_the_readme_shows_a_record_once_five_seeds_are_of_todays_code(
 
 
 def test_a_note_says_where_runs_were_measured(claims: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(claims, "equal", lambda: {claims.sources()})
+    monkeypatch.setattr(claims, "equal", lambda **_: {claims.sources()})
     new, old = claims.marked({"commit": "abc"}, 0.001), {"commit": "def"}
     said = claims.note([old, new]).strip().split("\n\n")
     assert said[0] == (

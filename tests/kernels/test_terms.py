@@ -58,8 +58,14 @@ def in_torch(term: sb.Unknown, weights: torch.Tensor, z: torch.Tensor) -> torch.
     def g(s: torch.Tensor) -> torch.Tensor:
         return second @ torch.tanh(first @ s + bias) + (0 if term.odd else last)
 
-    s = (z.clamp(low, high) - centre) / width
-    w = scale * (g(s) - g(-s) if term.odd else g(s))
+    end = z.clamp(low, high)
+    value, slope = torch.autograd.functional.jvp(
+        lambda s: g(s) - g(-s) if term.odd else g(s),
+        (end - centre) / width,
+        (z - end) / width,
+        create_graph=True,
+    )
+    w = scale * (value + slope)
     if term.bounded is None:
         return w
     low, high = (torch.tensor(end, dtype=torch.float64) for end in term.bounded)

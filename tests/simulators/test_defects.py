@@ -39,6 +39,23 @@ def test_an_equation_that_raises_wherever_a_search_begins_ends_at_once(
         sb.compare(RECORD, simulator=ode)
 
 
+def test_a_run_with_other_results_than_numbers_is_a_failed_one() -> None:
+    """For a parameter below 2.5 the root of Python's numbers is complex."""
+
+    def root(t: float, x: Any, u: Any, p: Any) -> list[Any]:
+        return [-((p.k - 2.5) ** 0.5) * x[0]]
+
+    ode = sb.Ode(root, [1.0], parameters={"k": (1.0, 9.0)})
+    assert sb.GreyBox(ode, starts=4).fit(RECORD).parameters["used"]["k"] == pytest.approx(3.5)
+
+
+def test_a_defect_of_the_package_is_none_of_the_equation(monkeypatch: pytest.MonkeyPatch) -> None:
+    ode = sb.Ode(lag, [1.0], parameters={"k": (0.1, 10.0)})
+    monkeypatch.setattr("splitband.kernels.ode.WEIGHTS", None)
+    with pytest.raises(TypeError, match="not subscriptable"):
+        sb.GreyBox(ode).fit(RECORD)
+
+
 def test_a_parameter_may_be_an_item() -> None:
     def by_item(t: float, x: Any, u: Any, p: Any) -> list[float]:
         return [-p["k"] * x[0]]

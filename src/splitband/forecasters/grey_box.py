@@ -303,7 +303,7 @@ class GreyBox(Forecaster):
         Warns
         -----
         ExtrapolationWarning
-            For values outside the range in training, where the term is held.
+            For values outside the range in training, where the term goes on straight.
         """
         terms = self.terms
         if not 0 <= term < len(terms) or terms[term].trained is None:
@@ -317,7 +317,7 @@ class GreyBox(Forecaster):
         if len(curve.z) and not (low <= curve.z.min() and curve.z.max() <= high):
             warnings.warn(
                 f"{curve.quantity} was from {low:.4g} to {high:.4g} in training: outside the "
-                "unknown term is held",
+                "unknown term is not known, and goes on straight from there",
                 ExtrapolationWarning,
                 stacklevel=2,
             )

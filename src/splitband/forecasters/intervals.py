@@ -26,15 +26,10 @@ Power laws were chosen among laws of growth on 44 development records (docs/deve
 FEWEST = 2.0
 """Smallest number of independent errors that is assumed; with 1, Student's quantile would be
 twice as large. By eye."""
-CHANCE, SLACK = 1.645, 0.03
-"""An interval is narrow or wide where its coverage is off by more than so many standard deviations
-of a binomial share, which one right interval in 20 is to either side, and by more than `SLACK`,
-below which it matters little: by eye."""
-ALMOST_ALL = 0.15
-"""An interval is wide, too, where fewer than this multiple of the samples that may be outside are
-outside, as with 99 % in one of 90 %. By eye."""
-RARE = 0.05
-"""Chance of no sample outside above which the samples are too few to say so. Convention."""
+CHANCE, SLACK = 0.05, 0.3
+"""An interval is narrow or wide where so many samples outside, or so few, have less than this
+chance (a convention), and where their number is off by more than this share of those that may be
+outside, below which it matters little: by eye."""
 PARTS, BOUNDED = 4, 1.1
 """A signal that does not wander is bounded: its variance is at most `BOUNDED` times the mean
 variance of its `PARTS` parts. One that wanders varies more as a whole than in a part. By eye; the
@@ -115,11 +110,12 @@ class Interval:
             spread = [each[:, i] - mean for each in every]
             varies = any(each[~np.isnan(each)].any() for each in spread)
             independent = _independent(spread, distinct) if varies else FEWEST
-            deviation = np.sqrt(self.share * (1 - self.share) / max(independent, FEWEST))
-            least, over = max(CHANCE * deviation, SLACK), coverage - self.share
-            most = (1 - ALMOST_ALL) * (1 - self.share) if self.share**independent < RARE else least
-            most = min(least, most)
-            found.append("wide" if over > most else "narrow" if over < -least else "")
+            count, outside = max(independent, FEWEST), 1 - self.share
+            excess, at = (1 - coverage) / outside - 1, count * (1 - coverage)
+            few = scipy.special.betainc(count - at, at + 1, self.share)  # binomial distributions
+            many = scipy.special.betainc(at, count - at + 1, outside) if at else 1.0
+            narrow, wide = many < CHANCE and excess > SLACK, few < CHANCE and excess < -SLACK
+            found.append("narrow" if narrow else "wide" if wide else "")
         return tuple(found)
 
 

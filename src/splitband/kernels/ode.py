@@ -11,13 +11,17 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from dis import get_instructions, opmap
+from dis import get_instructions
 from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
 from numba import njit, types
+from numba.core import ir
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.untyped_passes import IRProcessing
 from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
@@ -388,15 +392,13 @@ class Solver:
     def _functions(self, kind: Any, count: int, fast: bool = False) -> tuple[Any, Any]:
         """Return `rhs` and `gather` of the kernels for a class of named parameters."""
         if not fast:
-            named = _flat(_with_five(self.rhs, self.arguments), kind, count, _numbers)
-            return named, gathered(self.of)
-        made: Any = njit(**_OPTIONS)
-        rhs = made(_with_tuples(getattr(self.rhs, "py_func", self.rhs)))
+            checked = _checked(_with_five(self.rhs, self.arguments))
+            return _flat(checked, kind, count, _numbers), gathered(self.of)
+        made: Any = njit(pipeline_class=_WithTuples, **_OPTIONS)
+        rhs = made(getattr(self.rhs, "py_func", self.rhs))
         named = rhs if self.arguments == 5 else made(_with_five(rhs, self.arguments))
         flat = _flat(named, kind, count, to_fixed_tuple)
-        return njit(_RHS, **_OPTIONS)(flat), _pointer(
-            gathered(self.of, lambda f: made(_with_tuples(f)))
-        )
+        return njit(_RHS, **_OPTIONS)(flat), _pointer(gathered(self.of, made))
 
     def _compile(self, kind: Any, p: Array, terms: Any, given: Any) -> None:
         """Use compiled code, without checks of indices, if it agrees on a short simulation."""
@@ -459,21 +461,51 @@ def _flat(rhs: Rhs, kind: Any, count: int, numbers: Any) -> Rhs:
     return flat
 
 
-def _with_tuples(function: Any) -> Any:
-    """Return a function whose literal lists are returned as tuples, which need no memory."""
-    if not isinstance(function, FunctionType):
-        return function
-    code = bytearray(function.__code__.co_code)
-    for i in range(0, len(code) - 2, 2):
-        if code[i] == opmap["BUILD_LIST"] and code[i + 2] == opmap["RETURN_VALUE"]:
-            code[i] = opmap["BUILD_TUPLE"]
-    return FunctionType(
-        function.__code__.replace(co_code=bytes(code)),
-        function.__globals__,
-        function.__name__,
-        function.__defaults__,
-        function.__closure__,
-    )
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _ListsAsTuples(FunctionPass):
+    """Return literal lists as tuples, which need no memory; in Numba's own form of a function."""
+
+    _name = "lists_as_tuples"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        """Return whether the function has changed."""
+        changed = False
+        for block in state.func_ir.blocks.values():
+            made = {each.target.name: each.value for each in block.find_insts(ir.Assign)}
+            end = made.get(getattr(getattr(block.terminator, "value", None), "name", None))
+            value = made.get(end.value.name) if getattr(end, "op", "") == "cast" else None
+            if getattr(value, "op", "") == "build_list" and end.value.is_temp:
+                value.op = "build_tuple"
+                changed = True
+        return changed
+
+
+class _WithTuples(CompilerBase):
+    """Numba's compiler, for functions of a user that return a list."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Return the passes."""
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(_ListsAsTuples, IRProcessing)
+        passes.finalize()
+        return [passes]
+
+
+def _checked(rhs: Rhs) -> Rhs:
+    """Return a function that raises ValueError unless `rhs` returns numbers."""
+
+    def checked(*arguments: Any) -> list[float]:
+        values = rhs(*arguments)
+        try:
+            return [float(value) for value in values]
+        except (TypeError, ValueError) as error:
+            message = f"rhs must return a number for each state, got {values!r:.60}"
+            raise InputError(message) from error
+
+    return checked
 
 
 def _numbers(p: Array, _count: int) -> list[float]:

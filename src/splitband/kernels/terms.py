@@ -44,7 +44,7 @@ def evaluate(  # noqa: PLR0912, PLR0915  one loop, for Numba
     if wanted:
         by_z[:] = 0.0
         by_theta[:] = 0.0
-    units, scaled = np.empty(len(theta)), np.empty(len(z))
+    units, scaled, beyond = np.empty(len(theta)), np.empty(len(z)), np.zeros(len(z))
     t = s = at = out = 0  # positions in theta, in the scaling, in z and in w
     for term in range(len(layout)):
         nq, nh, no, odd, increasing, bounded = layout[term]
@@ -53,21 +53,27 @@ def evaluate(  # noqa: PLR0912, PLR0915  one loop, for Numba
         for q in range(nq):
             held = min(max(z[at + q], scaling[s + 2 * nq + q]), scaling[s + 3 * nq + q])
             scaled[q] = (held - scaling[s + q]) / scaling[s + nq + q]
+            beyond[q] = (z[at + q] - held) / scaling[s + nq + q]
         for h in range(nh):
-            total = 0.0
+            total = along = 0.0
             for q in range(nq):
                 weight = theta[t + h * nq + q]
-                total += (weight * weight if increasing else weight) * scaled[q]
-            units[2 * h] = theta[bias + h] + total  # for z, and of an odd term for -z
-            units[2 * h + 1] = odd * (theta[bias + h] - total)
+                weight = weight * weight if increasing else weight
+                total += weight * scaled[q]
+                along += weight * beyond[q]
+            units[h] = theta[bias + h] + total  # for z, and of an odd term for -z
+            units[nh + h] = odd * (theta[bias + h] - total)
+            units[2 * nh + h] = along
         for i in range(2 * nh):
             units[i] = tanh(units[i])
         for o in range(no):
             value = theta[last + o] if nh and not odd else 0.0
             for h in range(nh):
                 weight = theta[second + o * nh + h]
+                above, below, along = units[h], units[nh + h], units[2 * nh + h]
+                steep = 1.0 - above * above + odd * (1.0 - below * below)
                 value += (weight * weight if increasing else weight) * (
-                    units[2 * h] - units[2 * h + 1]
+                    above - below + steep * along
                 )
             factor = scaling[s + 4 * nq + o]
             value *= factor
@@ -85,20 +91,27 @@ def evaluate(  # noqa: PLR0912, PLR0915  one loop, for Numba
             if nh and not odd:
                 by_theta[out + o, last + o] = factor
             for h in range(nh):
-                weight, above, below = theta[second + o * nh + h], units[2 * h], units[2 * h + 1]
+                weight, above, below = theta[second + o * nh + h], units[h], units[nh + h]
                 weight, double = (weight * weight, 2.0 * weight) if increasing else (weight, 1.0)
-                rise, fall = 1.0 - above * above, odd * (1.0 - below * below)
-                by_theta[out + o, second + o * nh + h] = factor * double * (above - below)
-                by_theta[out + o, bias + h] = factor * weight * (rise - fall)
-                slope = factor * weight * (rise + fall)
+                rise, fall, along = (
+                    1.0 - above * above,
+                    odd * (1.0 - below * below),
+                    units[2 * nh + h],
+                )
+                value = above - below + (rise + fall) * along
+                by_theta[out + o, second + o * nh + h] = factor * double * value
+                bend, twist = -2.0 * above * rise * along, 2.0 * below * fall * along
+                by_theta[out + o, bias + h] = factor * weight * (rise - fall + bend - twist)
+                end = factor * weight * (rise + fall)
+                slope = end + factor * weight * (bend + twist)
                 for q in range(nq):
                     inner = theta[t + h * nq + q]
                     inner, double = (inner * inner, 2.0 * inner) if increasing else (inner, 1.0)
-                    by_theta[out + o, t + h * nq + q] = slope * double * scaled[q]
-                    by_z[out + o, at + q] += slope * inner
+                    moved = slope * scaled[q] + end * beyond[q]
+                    by_theta[out + o, t + h * nq + q] = double * moved
+                    by_z[out + o, at + q] += (end if beyond[q] != 0.0 else slope) * inner
             for q in range(nq):
-                within = scaling[s + 2 * nq + q] <= z[at + q] <= scaling[s + 3 * nq + q]
-                by_z[out + o, at + q] *= (1.0 if within else 0.0) / scaling[s + nq + q]
+                by_z[out + o, at + q] /= scaling[s + nq + q]
         t = last if odd or not nh else last + no
         s += 4 * nq + no + 2
         at += nq

@@ -278,7 +278,7 @@ _AHEAD = (
 )
 _INSIDE = (
     "share of the measured samples after the training part, or of those ahead, in the "
-    f"interval; {percent(COVERAGE)} is ideal; narrow, wide: off by more than chance, or nearly all"
+    f"interval; {percent(COVERAGE)} is ideal; narrow, wide: off by more than chance"
 )
 _HELD_OUT = "error on the last quarter of the training samples of models trained on the rest"
 _RMSE = "root mean squared error of the"

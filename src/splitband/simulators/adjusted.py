@@ -10,13 +10,12 @@ from typing import Any, Self
 import numpy as np
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import DeadlineError
 from splitband.runtime.errors import InputError
 from splitband.simulators.least_squares import likely_state
 from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Point, Response
 from splitband.simulators.shooting import Experiment
 from splitband.simulators.unknown import Trained
-from splitband.simulators.user_code import failure, place
+from splitband.simulators.user_code import failure, is_ours, place
 
 FAILED = 1e9
 """The same limit in deviations of the noise, for the larger residuals of a wrong state. Rounding.
@@ -153,9 +152,7 @@ def _running() -> Iterator[None]:
     """Turn errors of user code into a ValueError with the place."""
     try:
         yield
-    except DeadlineError:
-        raise
     except Exception as error:
-        if isinstance(error, ValueError) and not place(error):
-            raise  # raised by this package
+        if is_ours(error) or (isinstance(error, InputError) and not place(error)):
+            raise
         raise InputError(f"the simulator failed: {failure(error)}") from error

@@ -141,8 +141,8 @@ class Function(UserCode):
         """Return the responses, without states, see `Adjustable`."""
         responses = []
         for values, _ in points:
-            y = np.asarray(self._called(time, u, values), dtype=float)
-            responses.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
+            y = _channels(self._called(time, u, values))
+            responses.append((y, np.empty((len(time), 0))))
         return responses
 
     def _called(self, time: Array, u: Array | None, values: Mapping[str, float]) -> npt.ArrayLike:
@@ -520,8 +520,16 @@ class Ode(UserCode):
         if self.observe is None:
             return x[:, :1]
         arguments = (x, u, self.p(values))
-        y = np.asarray(self.observe(*arguments[: count_arguments(self.observe) or 1]), dtype=float)
-        return y[:, None] if y.ndim == 1 else y
+        return _channels(self.observe(*arguments[: count_arguments(self.observe) or 1]))
+
+
+def _channels(values: Any) -> Array:
+    """Return what a user's function returned, `(time, ny)`; ValueError for other than numbers."""
+    try:
+        y = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"a simulator must return numbers, got {values!r:.60}") from error
+    return y[:, None] if y.ndim == 1 else y
 
 
 def _reopened(

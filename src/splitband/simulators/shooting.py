@@ -18,7 +18,7 @@ import numpy as np
 
 from splitband.records import Record
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import DeadlineError, check
+from splitband.runtime.deadlines import check
 from splitband.simulators.base import origin
 from splitband.simulators.least_squares import BAD, finite, likely_state, limited
 from splitband.simulators.parameters import (
@@ -27,7 +27,7 @@ from splitband.simulators.parameters import (
     Point,
     Response,
 )
-from splitband.simulators.user_code import failure
+from splitband.simulators.user_code import failure, is_ours
 
 GROWTH = 4
 """Growth of windows from stage to stage. Bounds the time."""
@@ -367,9 +367,9 @@ class Shooting:
         try:
             with np.errstate(all="ignore"):
                 return function(part.time, part.u, *arguments)
-        except DeadlineError:
-            raise
         except Exception as error:
+            if is_ours(error):
+                raise
             self.failure = failure(error)
             nothing = np.full(part.y.shape, np.nan)
             return [(nothing, np.full((len(part.y), self.simulator.states), np.nan))] * count

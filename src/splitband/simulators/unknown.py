@@ -2,7 +2,8 @@
 
 A term is `w = g(z)` with one hidden layer, `g(z) = V tanh(W s + b) + c`, where `s` are the
 quantities `z`, less their centre and divided by their width. An odd term is `g(z) - g(-z)`, an
-increasing one has the squares of its weights V and W (Sill, Monotonic Networks, NIPS 1997).
+increasing one has the squares of its weights V and W (Sill, Monotonic Networks, NIPS 1997). Outside
+the range in training, each unit goes on along its tangent.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ class Trained:
     weights : Weights of the network, `(weights,)`: W, b, V, and c unless the term is odd.
     centre, width : Of each quantity, `(quantities,)`.
     scale : Of each output, `(outputs,)`.
-    low, high : Range of each quantity in the training record, `(quantities,)`, outside which the
-        term is held; infinite if it is not known yet.
+    low, high : Range of each quantity in the training record, `(quantities,)`, from whose ends the
+        term goes on straight; infinite if it is not known yet.
     """
 
     weights: Array
@@ -57,7 +58,7 @@ class Trained:
         if not (self.low <= self.high).all():
             raise InputError("an unknown term must have low <= high")
 
-    def held(self, z: Array) -> Array:
+    def clipped(self, z: Array) -> Array:
         """Return quantities `(..., quantities)`, clipped to the range of the training record."""
         known = np.isfinite(self.low).all() and np.isfinite(self.high).all()
         return np.clip(z, self.low, self.high) if known else z
@@ -231,7 +232,7 @@ class Unknown(WithRepr):
         )
 
     def holding(self, z: Array) -> Self:
-        """Return a trained term that keeps its last value outside the range of `(time, nz)`."""
+        """Return a trained term that goes on straight outside the range of `(time, nz)`."""
         assert self.trained is not None
         low, high = _range(z, self.odd)
         return replace(self, trained=replace(self.trained, low=low, high=high))
@@ -250,10 +251,14 @@ class Unknown(WithRepr):
         first, second = first.reshape(-1, count), second.reshape(self.outputs, -1)
         if self.increasing:
             first, second = first**2, second**2
-        total = ((trained.held(z) - trained.centre) / trained.width) @ first.T
+        end = trained.clipped(z)
+        total = ((end - trained.centre) / trained.width) @ first.T
+        along = ((z - end) / trained.width) @ first.T
         units = np.tanh(bias + total)
+        units = units + (1 - units**2) * along
         if self.odd:
-            units = units - np.tanh(bias - total)
+            mirrored = np.tanh(bias - total)
+            units = units - mirrored + (1 - mirrored**2) * along
         found = units @ second.T
         return self._squashed((found if self.odd else found + last) * trained.scale)
 
@@ -323,7 +328,7 @@ class Unknown(WithRepr):
             n, ends = int(excess[:, i].argmax()), f"{low[i]:.4g} to {high[i]:.4g}"
             sentences.append(
                 f"{self.label(int(i))} of an unknown term is {z[n, i]:.4g} at sample {n + 1} of "
-                f"the prediction, where it was {ends} in training: the term is held outside"
+                f"the prediction, where it was {ends} in training: the term is not known there"
             )
         return sentences
 
@@ -366,7 +371,7 @@ class UnknownCurve:
     Attributes
     ----------
     quantity : Name of the quantity.
-    range : Its lowest and highest value in training, outside which the term is held.
+    range : Its lowest and highest value in training, outside which the term is not known.
     z, w : Values of the quantity `(points,)`, and the outputs there, `(points, outputs)`.
     low, high : Lowest and highest outputs of all trainings that fit as well, `(points, outputs)`.
     trainings : Number of these trainings.

@@ -125,6 +125,13 @@ def failure(error: BaseException) -> str:
     return f"{message} ({where})" if where else message
 
 
+def is_ours(error: Exception) -> bool:
+    """Return whether an error is none of a user's code: a deadline, or a defect of this package."""
+    paths = (Path(frame.filename).resolve() for frame in extract_tb(error.__traceback__))
+    own = all(_OWN[0].resolve() in path.parents for path in paths)
+    return own and not isinstance(error, InputError)
+
+
 def place(error: BaseException) -> str:
     """Return the file and line of an error in user code; empty for other code."""
     for frame in reversed(extract_tb(error.__traceback__)):

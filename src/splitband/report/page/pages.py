@@ -210,8 +210,8 @@ def _unknown(models: Sequence[Forecaster]) -> list[Section]:
         if isinstance(each, GreyBox) and (drawn := model.unknown(each)):
             text = (
                 "What was found in place of the unknown terms of the equation, over the ranges of "
-                "their quantities in training. Outside of them, a term is held. Shaded: the range "
-                "of all trainings that fit as well."
+                "their quantities in training, outside which a term is not known and goes on "
+                "straight. Shaded: the range of all trainings that fit as well."
             )
             return [Section("unknown", "Unknown terms", [text], plots=drawn)]
     return []
