@@ -163,7 +163,7 @@ def test_a_column_that_counts_up_may_number_runs_and_is_asked_about() -> None:
     u = np.repeat(np.random.default_rng(4).uniform(-1, 1, N // 25), 25)
     run = 1.0 + np.arange(N) // (N // 3)
     found = inspected(run=run, force=u, level=lag(0.9, u, 1))
-    assert {c.name: c.role for c in found.columns}["run"] == "run?"
+    assert {c.name: c.role for c in found.columns}["run"] == "label?"
     assert found.options == {"inputs": ["force"], "columns": ["level"]}
     (said,) = found.warnings
     assert "--runs run" in said
@@ -171,6 +171,11 @@ def test_a_column_that_counts_up_may_number_runs_and_is_asked_about() -> None:
     step = (np.arange(N) > N // 2).astype(float)  # a step test has one step, too
     roles = {c.name: c.role for c in inspected(valve=step, level=lag(0.9, step, 1)).columns}
     assert roles["valve"] == "input"
+    mode, gear = np.digitize(u, (-0.5, 0.5)), np.digitize(u, (-0.3, 0.3))
+    found = inspected(Mode=1.0 * mode, gear=1.0 * gear, run=7.0 * run, level=lag(0.9, u, 1))
+    roles = {c.name: c.role for c in found.columns}
+    assert (roles["Mode"], roles["run"], roles["gear"]) == ("label?", "label?", "input")
+    assert "inputs" not in found.options or "Mode" not in found.options["inputs"]
 
 
 def test_the_delay_of_a_slow_nonlinear_response_is_called_uncertain() -> None:

@@ -97,6 +97,20 @@ def test_the_state_of_another_record_is_estimated_from_the_history(memory: int) 
     np.testing.assert_allclose(found, wanted, atol=1e-6)
 
 
+@pytest.mark.parametrize("base", ["grey box", "linear"])
+def test_a_base_that_was_fitted_beforehand_streams_what_it_predicts(base: str) -> None:
+    """A comparison fits what several methods share once; by itself it forgets, or is corrected."""
+    record = shaken()
+    shared: Any = copy(fitted("grey box"))
+    shared = shared if base == "grey box" else sb.Linear().fit(record[:TRAIN])
+    shared.memory = 30
+    hybrid = sb.Residual(shared, sb.GRU(4), conditioned=True, settings=SHORT)
+    model = hybrid.fitted_copy([record[:TRAIN]], bases=[shared])
+    in_double(model)
+    found, wanted = stepped(model, record, SEEN, other_record=True)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+
+
 def test_an_equation_without_inputs_is_integrated_too() -> None:
     time = 0.1 * np.arange(260)
     record = sb.Record(np.cos(1.9 * time) + 0.2 * np.sin(7 * time), 0.1)

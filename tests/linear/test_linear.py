@@ -95,6 +95,25 @@ def test_what_was_not_measured_is_gone_around() -> None:
     assert np.sqrt(np.mean((found - y[TRAIN:]) ** 2)) < 0.05
 
 
+def test_a_gap_at_the_beginning_is_as_a_record_that_begins_after_it() -> None:
+    """A slow pole, a fast one and a friction that no linear model has: orders differ easily."""
+    g, lead, n = np.random.default_rng(2), 100, 1000
+    u = np.repeat(g.normal(size=50), 30)
+    x = np.zeros((1500, 2))
+    x[0] = 3, 0
+    for k in range(1, len(x)):
+        x[k] = 0.997 * x[k - 1, 0] + 0.01 * u[k] + 0.003 * abs(u[k]), 0.9 * x[k - 1, 1] + 0.1 * u[k]
+    y = x.sum(axis=1) + 0.1 * np.tanh(x[:, 1]) + 0.02 * g.normal(size=len(x))
+    seen = np.where(np.arange(len(y)) < lead, np.nan, y)
+    gap, cut = sb.Record.with_gaps(seen, 0.1, u=u), sb.Record(y[lead:], 0.1, u=u[lead:])
+    models = sb.Linear().fit(gap[:n]), sb.Linear().fit(cut[: n - lead])
+    found, wanted = (model.predict(500, u=u[n:, None]).y for model in models)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    whole, after = (m.model.simulate(r.u[:n]) for m, r in zip(models, (gap, cut), strict=True))
+    apart = np.abs(whole[lead:] - after[: n - lead])
+    assert np.median(apart) < 0.1 * np.std(y)
+
+
 def test_gaps_that_leave_no_window_whole_cost_no_accuracy() -> None:
     u = inputs(2000)
     y = oscillators(u)

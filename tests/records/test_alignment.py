@@ -133,7 +133,7 @@ def test_without_time_stamps_on_both_sides_they_begin_together() -> None:
 
 def test_inputs_are_interpolated_by_straight_lines() -> None:
     steps = np.repeat([0.0, 1.0], 10)[:, None]
-    found = aligned("u", steps, Grid(0.0, 0.2, 20), Grid(0.0, DT, 39), smooth=False)
+    found = aligned("u", steps, Grid(0.0, 0.2, 20), Grid(0.0, DT, 39), np.array([False]))
     wanted = np.interp(times(samples=39), times(step=0.2, samples=20), steps[:, 0])
     np.testing.assert_allclose(found.values[:, 0], wanted, atol=1e-12)
 

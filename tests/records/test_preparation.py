@@ -124,7 +124,7 @@ def test_what_cannot_be_is_named(asked: object, said: str) -> None:
 
 def test_planned_inputs_without_names_are_detrended_too() -> None:
     past = replace(record(), inputs=("pump",)).detrend()
-    coming = sb.Record(U[:20], DT, start=past.grid.after(1).start)
+    coming = sb.Record(U[:20], DT, u=U[:20], start=past.grid.after(1).start)
     np.testing.assert_allclose(
         inputs_after(past, coming, 10, "plan")[:10, 0], U[:10] - U.mean(), atol=1e-9
     )

@@ -11,6 +11,7 @@ import pytest
 import splitband as sb
 from splitband.records.signals import ReadingWarning
 from splitband.runtime.arrays import Array
+from tests.cli.support import call
 
 pytestmark = pytest.mark.filterwarnings("ignore::splitband.records.signals.ReadingWarning")
 STEP, N = 0.1, 2000
@@ -80,6 +81,65 @@ def test_values_far_from_a_stamp_are_not_measured() -> None:
     assert not record.complete[501:539].any()
     assert record.complete[:499].all()
     assert record.complete[542:].all()
+
+
+def holed_after(late: float, hole: int = 40) -> pd.DataFrame:
+    """A table with a hole, and its first stamp after the hole so many s beside the grid."""
+    table = logged(0.1)
+    table.loc[540, "time"] = 54.0 + late
+    return table.drop(index=range(540 - hole, 540)).reset_index(drop=True)
+
+
+@pytest.mark.parametrize("hold", ["u", ()])
+@pytest.mark.parametrize("late", [-0.002, 0.002])
+def test_the_first_stamp_after_a_hole_gives_the_input_of_its_sample(hold: Any, late: float) -> None:
+    table = holed_after(late)
+    record = sb.read(table, inputs="u", step=STEP, hold=hold)
+    at = int(np.rint((54.0 - record.time[0]) / STEP))
+    np.testing.assert_allclose(record.u[at : at + 2, 0], table["u"][500], rtol=1e-12)
+    assert record.complete[at + 1]
+
+
+@pytest.mark.parametrize("hold", ["u", ()])
+def test_a_hole_is_filled_alike_in_records_and_in_planned_inputs(tmp_path: Path, hold: Any) -> None:
+    """The oracle is the table with the rows of the hole, filled by pandas and by NumPy."""
+    holed, whole = holed_after(0.0), holed_after(0.0, hole=0)
+    seen = whole["u"].mask(whole.index.isin(range(500, 540)))
+    between = np.interp(whole["time"], whole["time"][seen.notna()], seen.dropna())
+    whole["u"] = seen.ffill() if hold else between
+    files = {}
+    for name, table in {"holed": holed, "whole": whole}.items():
+        files[name] = tmp_path / f"{name}.csv"
+        table.to_csv(files[name], index=False)
+    read = [sb.read(file, inputs="u", step=STEP, hold=hold) for file in files.values()]
+    np.testing.assert_allclose(read[0].u, read[1].u, atol=1e-9)
+    sb.Linear().fit(read[1][:400]).save(tmp_path / "model")
+    found = []
+    for file in files.values():
+        line = f"simulate {tmp_path / 'model'} --steps 400 --future-inputs {file}"
+        call(line, tmp_path / "ahead.csv")
+        found.append(pd.read_csv(tmp_path / "ahead.csv"))
+    np.testing.assert_allclose(found[0]["x"], found[1]["x"], atol=1e-9)
+
+
+def test_a_further_file_is_read_as_the_first_one_or_refused() -> None:
+    first, table = sb.read(logged(0.2), inputs="u", step=STEP), logged(0.2, seed=1)
+    table["u"] = np.sin(0.3 * table["time"])
+    model, other = sb.Linear().fit(first), sb.read(table, inputs="u", step=STEP)
+    says = r"'u' of history must be held between .* got interpolated.*reading=.*hold \(--hold\)"
+    with pytest.raises(sb.InputError, match=says):
+        model.predict(3, history=other[:100], u=other.u[100:103])
+    for how in ({"reading": first.reading}, {"hold": "u"}):
+        other = sb.read(table, inputs="u", step=STEP, **how)
+        model.predict(3, history=other[:100], u=other.u[100:103], other_record=True)
+
+
+def test_a_command_with_sweeps_is_held() -> None:
+    """Most of its variance is smooth, but most of its values repeat the last one."""
+    table = logged(0.2)
+    sweep = 20 * np.sin(table["time"])
+    table["u"] = table["u"].where(table["time"] < 120, sweep)
+    assert sb.read(table, inputs="u", step=STEP).reading.hold == ("u",)
 
 
 def test_events_are_put_on_a_grid() -> None:
@@ -163,6 +223,10 @@ def test_runs_are_read_alike() -> None:
     assert [record.name for record in records] == ["r0", "r1", "r2"]
     assert {record.sampling_time for record in records} == {STEP}
     sb.Linear().fit(*records)
+    smooth = [logged(jitter, i).assign(run=i) for i, jitter in enumerate((0.0, 0.2, 0.0, 0.2))]
+    table = pd.concat(smooth).assign(u=lambda each: np.sin(each["time"]))
+    held = sb.read(table, inputs="u", runs="run", step="auto", hold="u")
+    assert [record.reading.hold for record in held] == [None, ("u",)] * 2
     again = sb.read(pd.concat(parts).drop(columns="run"), inputs="u", runs="time", step="auto")
     for one, other in zip(records, again, strict=True):
         np.testing.assert_array_equal(one.y, other.y)

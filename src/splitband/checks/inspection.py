@@ -39,14 +39,15 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.system import quoted
 from splitband.training.settings import recipe_settings
 
-Role = Literal["input", "output", "constant", "run?"]
+Role = Literal["input", "output", "constant", "label?"]
 INPUT_NAMES = """
 u in inp input cmd command sp setpoint ref reference target demand force valve heater pump fan
 voltage pwm duty throttle pedal brake steer steering rudder elevator aileron ctrl control controller
 actuator actuation mv opening switch stimulus excitation disturbance ambient
 """
 OUTPUT_NAMES = "y out output pv response sensor measured measurement"
-"""Words in the names of inputs and outputs. Convention."""
+LABEL_NAMES = "run test trial batch cycle experiment mode phase stage segment label"
+"""Words in the names of inputs, of outputs, and of what labels runs or samples. Convention."""
 LAGS, SPACINGS = 12, (1, 4, 16, 64)
 """Past samples by column in ARX models, and their spacings in samples: slow effects show in none of
 a single sample. No choice on 39 drawn records depends on it."""
@@ -75,7 +76,7 @@ class InspectedColumn:
     Attributes
     ----------
     name : Its name, with the unit in brackets, if any.
-    role : "input", "output", "constant", or "run?" for one that may number runs.
+    role : "input", "output", "constant", or "label?" for one that may number runs or samples.
     reasons : Why, in words: "moves in 50 steps", "leads level", "is named so".
     lowest, highest : Its range.
     missing : Number of samples without a value.
@@ -143,7 +144,7 @@ class Inspection:
         record, found = self.record, dict[str, Any]()
         if record.nu:
             found["inputs"] = [*dict.fromkeys(map(record.reading.column, record.inputs))]
-        if any(column.role in ("constant", "run?") for column in self.columns):
+        if any(column.role in ("constant", "label?") for column in self.columns):
             found["columns"] = [*record.columns]
         return found if record.measured is None else found | {"gaps": "mask"}
 
@@ -249,7 +250,7 @@ def inspect(
     spectrum, rate = periodogram(record.y, record.sampling_rate), record.sampling_rate
     above = 1 - periodogram(training.y, rate).share_below(bands.cutoff or rate)
     (late, doubtful), beside = _dead_times(record), simulator_check(record, train, bands)
-    said = [*of_runs(columns), *record.warnings()]
+    said = [*of_labels(columns), *record.warnings()]
     said += [] if beside is None else beside.warnings()
     peaks = spectrum.peaks()
     return Inspection(record, columns, late, doubtful, peaks, train, bands, above, beside, said)
@@ -275,8 +276,7 @@ def inspected_columns(record: Record) -> tuple[InspectedColumn, ...]:
         states = words.get(name, ())
         moves, switch = _moves(held[name].to_numpy(), states)
         led, leader = (names[int(each.argmax())] for each in (odds[i], odds[:, i]))
-        called = {*re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", bare_name(name))}
-        called = {word.lower() for word in called}
+        called = _words(name)
         for_input = [moves] if moves else []
         for_input += [f"leads {led}"] if leads else []
         for_input += ["is named so"] if called & {*INPUT_NAMES.split()} else []
@@ -288,8 +288,8 @@ def inspected_columns(record: Record) -> tuple[InspectedColumn, ...]:
             roles[name], reasons[name] = "constant", ("has one value",)
         elif name in record.inputs:
             roles[name], reasons[name] = "input", tuple(for_input or ["is given as one"])
-        elif _counts(signals[name]):
-            roles[name], reasons[name] = "run?", ("counts up in steps",)
+        elif label := _as_label(name, signals[name]):
+            roles[name], reasons[name] = "label?", (label,)
         elif for_input and acts and not (called & {*OUTPUT_NAMES.split()} and len(for_input) == 1):
             roles[name], reasons[name] = "input", tuple(for_input)
         else:
@@ -315,18 +315,19 @@ def inspected_columns(record: Record) -> tuple[InspectedColumn, ...]:
 
 def unnamed_inputs(record: Record) -> tuple[InspectedColumn, ...]:
     """Return the outputs of a record that are probably inputs, without inputs, or number runs."""
-    if record.ny < 2 or (record.nu and not any(map(_counts, record.y_with_gaps.T))):
+    labels = map(_as_label, record.columns, record.y_with_gaps.T)
+    if record.ny < 2 or (record.nu and not any(labels)):
         return ()
     return tuple(
         c
         for c in inspected_columns(record)
-        if c.role == "run?" or (c.role == "input" and not record.nu)
+        if c.role == "label?" or (c.role == "input" and not record.nu)
     )
 
 
 def of_unnamed(columns: Sequence[InspectedColumn]) -> list[str]:
     """Return a sentence on likely inputs that are not named, first on those that are clear."""
-    said = of_runs(columns)
+    said = of_labels(columns)
     columns = [column for column in columns if column.role == "input"]
     for how, clear in (("probably", True), ("perhaps", False)):
         found = {c.name: c.reasons for c in columns if c.clear is clear}
@@ -336,23 +337,33 @@ def of_unnamed(columns: Sequence[InspectedColumn]) -> list[str]:
     return said
 
 
-def of_runs(columns: Sequence[InspectedColumn]) -> list[str]:
-    """Return a question on each column that may number runs."""
+def of_labels(columns: Sequence[InspectedColumn]) -> list[str]:
+    """Return a question on each column that may number runs or samples."""
     return [
-        f"{c.name!r} counts up from {c.lowest:g} to {c.highest:g}: does it number runs, or act on "
-        f"the system? runs={c.name!r} (--runs {quoted(c.name)}) reads each run as a record of its "
-        f"own, inputs=[{c.name!r}, ...] (--inputs) takes the column as an input"
+        f"{c.name!r} {', '.join(c.reasons)}, {c.lowest:g} to {c.highest:g}: does it number runs, "
+        f"label samples, or act on the system? runs={c.name!r} (--runs {quoted(c.name)}) reads "
+        f"each run as a record of its own, inputs=[{c.name!r}, ...] (--inputs) takes the column as "
+        "an input, and columns (--columns) without it leaves it out"
         for c in columns
-        if c.role == "run?"
+        if c.role == "label?"
     ]
 
 
-def _counts(x: Array) -> bool:
-    """Return whether a column holds whole numbers that now and then increase by one."""
-    steps = np.diff(x)
+def _words(name: str) -> set[str]:
+    """Return the words of a name in small letters, "u" and "cmd" of "U_cmd [V]"."""
+    return {word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", bare_name(name))}
+
+
+def _as_label(name: str, x: Array) -> str:
+    """Return why a column of whole numbers may number runs or samples, in words, or ""."""
+    x = x[np.isfinite(x)]
+    steps, step_test = np.diff(x), x[0] == 0 and np.ptp(x) == 1
     few = 0 < np.count_nonzero(steps) <= (1 - HELD) * len(steps)
-    step_test = x[0] == 0 and np.ptp(x) == 1
-    return bool(few and np.isin(steps, (0, 1)).all() and x[0] == np.round(x[0]) and not step_test)
+    if not few or (x != np.round(x)).any():
+        return ""
+    if np.isin(steps, (0, 1)).all() and not step_test:
+        return "counts up in steps"
+    return "is named as a label" if _words(name) & {*LABEL_NAMES.split()} else ""
 
 
 def _percent(share: float) -> str:

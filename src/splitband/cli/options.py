@@ -330,7 +330,7 @@ class FileOptions:
         parser=_grid_step,
     )
     hold: str | None = _record(
-        "Inputs that hold their last value between samples; the others are interpolated.",
+        "Inputs that hold their last value between samples and in gaps; others are interpolated.",
         "NAMES",
         "found from the record",
     )

@@ -274,7 +274,7 @@ def inputs_ahead(
     else:
         if known.reading.hold is None and files.hold is None:
             files = replace(files, hold=",".join(f'"{each}"' for each in inputs))
-        coming = _beside(file, "--future-inputs", known, files, columns=inputs)
+        coming = _beside(file, "--future-inputs", known, files, columns=(), inputs=inputs)
     return inputs_after(known, coming, steps, f"--future-inputs {file}", files.time_column != "")
 
 

@@ -201,12 +201,6 @@ class GreyBox(Forecaster):
         """Return whether a program can hold its simulator: an equation that can be integrated."""
         return isinstance(self.simulator, Ode) and self.simulator.advances
 
-    def as_base(self) -> GreyBox:
-        """Return a copy whose state is estimated from all samples, as in `trajectory`."""
-        new = copy(self)
-        new.memory = 0
-        return new
-
     def step_form(self) -> Steps:
         """Return the equation by equal steps."""
         simulator = self.simulator.require()
@@ -220,9 +214,10 @@ class GreyBox(Forecaster):
         return EquationSteps(self)
 
     def step_form_as_base(self) -> Steps:
-        """Return the equation's step form; of another simulator, its given output."""
-        ny = self.require_fitted().record.ny
-        return self.step_form() if self.writable else GivenSteps(np.ones(ny), np.zeros(ny))
+        """Return the equation, its state from all samples as in `trajectory`, or a given output."""
+        ny, whole = self.require_fitted().record.ny, copy(self)
+        whole.memory = 0
+        return whole.step_form() if self.writable else GivenSteps(np.ones(ny), np.zeros(ny))
 
     def equation(self) -> FixedSteps:
         """Return the equation by as many equal steps a sample as the training record needs."""

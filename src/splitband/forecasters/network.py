@@ -393,8 +393,8 @@ class Network(Forecaster):
             fitted = [*how["bases"], *([] if start is None else start.fitted_bases)]
             base = fitted_like(self.base, records, fitted)
             if base is None:
-                base = self.base.clone()._fit(records, how["seed"], bases=fitted).as_base()
-            self._fitted_base = base
+                base = self.base.clone()._fit(records, how["seed"], bases=fitted)
+            self._fitted_base = base = base.as_base()
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:

@@ -103,11 +103,12 @@ def continued(name: str, past: Array, given: npt.ArrayLike | None, steps: int) -
 def inputs_after(
     past: Record, coming: Record, steps: int, name: str, stamped: bool = True
 ) -> Array:
-    """Return the inputs after a record, `(steps or more, nu)`: the outputs of the `coming` record.
+    """Return the inputs after a record, `(steps or more, nu)`: those of the `coming` record.
 
-    The coming record, as it was measured, is prepared like the past one. They are aligned by the
-    time stamps of both records. Without any, or if they are not to count (`stamped`), the first
-    coming sample follows the last one of the past.
+    The coming record, as it was measured, is prepared like the past one; its outputs are its
+    inputs, as a plan has no others. They are aligned by the time stamps of both records. Without
+    any, or if they are not to count (`stamped`), the first coming sample follows the last one of
+    the past.
 
     Raises
     ------
@@ -125,15 +126,16 @@ def inputs_after(
             "follows the last"
         )
     if same_names(coming.columns, past.inputs):  # numbered, which match any
-        coming = replace(coming, columns=past.inputs)
+        coming = replace(coming, columns=past.inputs, inputs=past.inputs)
     coming = _means_after(past, coming, ahead).like(past)
-    # Linear interpolation, as inputs may jump.
-    u = aligned(name, coming.y, coming.grid, ahead, smooth=False)
+    assert coming.u is not None
+    held = past.reading.holds(past.inputs)
+    u = aligned(name, coming.u, coming.grid, ahead, held)
     if u.note:
         log.info("%s: %s", name, u.note)
     if (more := reach(coming.grid, ahead)) > steps:  # for a simulator whose output is late
         ahead = replace(ahead, samples=more)
-        u = aligned(name, coming.y, coming.grid, ahead, smooth=False)
+        u = aligned(name, coming.u, coming.grid, ahead, held)
     assert past.u is not None
     values = np.array(u.values)
     for i, each in enumerate(past.inputs):

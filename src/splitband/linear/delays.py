@@ -90,6 +90,15 @@ def delayed(u: Array, delays: Sequence[int], rows: slice = slice(None)) -> Array
     return np.asarray(np.take_along_axis(u, np.maximum(taken, 0), axis=0))
 
 
+def measured_part(y: Array, u: Array) -> tuple[Array, Array]:
+    """Return outputs and inputs, `(time, n)`, from the first measured sample on.
+
+    In earlier rows the state is not observable, as in `Units.run`.
+    """
+    begin = int(np.isfinite(y).any(axis=1).argmax())
+    return y[begin:], u[begin:]
+
+
 @dataclass(frozen=True, eq=False)
 class Units:
     """Means and standard deviations of the signals of all records."""
@@ -141,6 +150,7 @@ class Delays(NamedTuple):
 
 def delays_of(records: Sequence[tuple[Array, Array]]) -> Delays:
     """Estimate the delays of records."""
+    records = [measured_part(y, u) for y, u in records]
     units = Units.of(records)
     lags_by_output = candidates(records)
     chosen = np.zeros((len(lags_by_output), len(lags_by_output[0])), int)

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.linear.closed_loop import Predictor, unstable_predictor, with_outputs
-from splitband.linear.delays import Units, delays_of, explains
+from splitband.linear.delays import Units, delays_of, explains, measured_part
 from splitband.linear.kalman import (
     MAX_OBSERVER_POLE,
     covariance,
@@ -87,10 +87,10 @@ def identified(
     integrators : Number of poles at 1; by default chosen.
     most : Largest order of the choice.
     """
-    units = Units.of(records)
-    ny = records[0][0].shape[1]
     if not integrators and (found := unstable(records, order, delay, most)) is not None:
         return found
+    whole, records = records[0][1], [measured_part(y, u) for y, u in records]
+    units, ny = Units.of(records), records[0][0].shape[1]
     estimated = delays_of(records) if delay is None else None
     delays = np.asarray(delay, int) if estimated is None else estimated.taken
     parts = []
@@ -99,7 +99,7 @@ def identified(
         late = delays[outputs].min(axis=0)
         model = _of_outputs(some, units.outputs(outputs), late.tolist(), order, integrators, most)
         parts.append((model, outputs))
-    model = _at_the_end(assembled(parts, ny), records[0])
+    model = _at_the_end(assembled(parts, ny), records[0], whole)
     if estimated is None:
         return model
     errors = model.uncertainty and replace(model.uncertainty, delay_errors=estimated.errors)
@@ -107,12 +107,13 @@ def identified(
     return replace(model, doubted=doubted, uncertainty=errors)
 
 
-def _at_the_end(model: LinearModel, record: tuple[Array, Array]) -> LinearModel:
-    """Return the model with the state after its first record."""
+def _at_the_end(model: LinearModel, record: tuple[Array, Array], whole: Array) -> LinearModel:
+    """Return the model with the states after its first record and before it, at the `whole` u."""
     y, u = record
     begin = max(len(y) - MOST_SAMPLES, 0)  # bounds the time, as gaps take a loop over samples
     before = None if begin else u[:0]
-    return replace(model, last=model.continued(u[begin:], y[begin:], before)[1])
+    model = replace(model, last=model.continued(u[begin:], y[begin:], before)[1])
+    return model.begun_before(whole, len(whole) - len(u))
 
 
 def unstable(
@@ -126,15 +127,16 @@ def unstable(
     All outputs are modelled together, with the given `delay`; a dead time of a few samples is a
     matter of poles. For other records it takes some milliseconds.
     """
+    whole, records = records[0][1], [measured_part(y, u) for y, u in records]
     units = Units.of(records)
-    delays = [0] * records[0][1].shape[1] if delay is None else delay.min(axis=0).tolist()
+    delays = [0] * whole.shape[1] if delay is None else delay.min(axis=0).tolist()
     runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     with suppress(DeadlineError):
         predictor = unstable_predictor(runs, [late > 0 for late in delays], order, most)
         if predictor is not None:
             model = _by_prediction(predictor, runs, delays, longest)
             model = _in_units(model, units, records[0][1], runs[0])
-            return replace(_at_the_end(model, records[0]), doubted=(0,) * model.nu)
+            return replace(_at_the_end(model, records[0], whole), doubted=(0,) * model.nu)
     return None
 
 

@@ -144,6 +144,23 @@ class LinearModel:
         usual = self._run(tapped, self.centre, free)[1]
         return replace(self, first=self.centre + late - usual)
 
+    def begun_before(self, u: Array, samples: int) -> LinearModel:
+        """Return the model for a record `u` with so many samples before its first measured one.
+
+        Its state is traced back as far as the error of the simulation and the spread of the states
+        in training allow: what decays is not observable before.
+        """
+        if not samples:
+            return self
+        tapped, away = self.tapped(u)[: samples + max(self.late)], self.first - self.centre
+        away = self._run(tapped[samples:], self.first, away)[1]
+        away = away - self._run(tapped, self.centre, np.zeros(self.order))[1]
+        answers = np.linalg.matrix_power(self.a, samples) @ self.root
+        doubt = np.sqrt(np.mean((self.error / self.scale) ** 2)) * np.eye(self.order)
+        rows, towards = np.vstack([answers, doubt]), np.append(away, np.zeros(self.order))
+        back = self.root @ np.linalg.lstsq(rows, towards, rcond=None)[0]
+        return replace(self, first=self.centre + back)
+
     def tapped(self, u: Array) -> Array:
         """Return the delayed inputs minus their means, `(time, taps)`."""
         inputs = [i for i, _ in self.taps]

@@ -12,7 +12,7 @@ import scipy
 from splitband.records.preparation import signals_of
 from splitband.records.record import Record
 from splitband.records.timing import Grid, near_sampling, same_sampling, seconds_between
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
 
 log = logging.getLogger("splitband")
@@ -33,7 +33,7 @@ class Aligned:
     note: str = ""
 
 
-def aligned(what: str, values: Array, own: Grid, onto: Grid, smooth: bool = True) -> Aligned:
+def aligned(what: str, values: Array, own: Grid, onto: Grid, held: Flags | None = None) -> Aligned:
     """Return the values of a signal at other times, aligned by the time stamps of both.
 
     Unless both have time stamps, they are assumed to begin together. The signal is interpolated
@@ -42,8 +42,7 @@ def aligned(what: str, values: Array, own: Grid, onto: Grid, smooth: bool = True
     what : Name of the signal in messages.
     values : `(time, n)`, all finite, at the times `own`.
     own, onto : Sampling times of the signal, and those to align it to.
-    smooth : Interpolate by a cubic spline, as for a simulator's output; otherwise linearly, as for
-        inputs, which may jump.
+    held : For inputs: which of them are held, `(n,)`, see `interpolated`.
     """
     try:
         rows = _rows(own, onto)
@@ -55,7 +54,7 @@ def aligned(what: str, values: Array, own: Grid, onto: Grid, smooth: bool = True
     nearest = np.rint(rows).astype(int)
     off = float(np.abs(rows - nearest).max())
     exact = off <= NEAR
-    at_times = values[np.clip(nearest, 0, last)] if exact else interpolated(values, rows, smooth)
+    at_times = values[np.clip(nearest, 0, last)] if exact else interpolated(values, rows, held)
     as_they_are = exact and bool((np.diff(nearest) == 1).all())
     notes = [_one_sided(own, onto), "" if as_they_are else _resampled(own, onto, off)]
     return Aligned(at_times, "; ".join(filter(None, notes)))
@@ -74,7 +73,7 @@ def reach(own: Grid, onto: Grid) -> int:
 def resampled(record: Record, sampling_time: float) -> Record:
     """Return a record resampled to another sampling time in s, from its first sample on.
 
-    Outputs and the simulator's output are interpolated by a cubic spline, known inputs linearly. A
+    Known inputs are held or interpolated linearly, as `Reading.hold` says, the rest by a spline. A
     sample counts as measured if both of its neighbours were. All signals end with the record.
     """
     samples = reach(record.grid, replace(record.grid, step=sampling_time))
@@ -85,7 +84,8 @@ def resampled(record: Record, sampling_time: float) -> Record:
         measured = measured[before] & measured[after]
     changed: dict[str, Any] = {"sampling_time": sampling_time, "measured": measured}
     for name, signal in signals_of(record).items():
-        changed[name] = interpolated(signal, rows, name != "u")
+        held = record.reading.holds(record.inputs) if name == "u" else None
+        changed[name] = interpolated(signal, rows, held)
     return replace(record, **changed)
 
 
@@ -101,13 +101,20 @@ def sampled_like(record: Record, sampling_time: float, name: str) -> Record:
     return resampled(record, sampling_time)
 
 
-def interpolated(values: Array, rows: Array, smooth: bool = True) -> Array:
-    """Interpolate `values` `(time, n)` at fractional rows; the first and last value are held."""
+def interpolated(values: Array, rows: Array, held: Flags | None = None) -> Array:
+    """Interpolate `values` `(time, n)` at fractional rows; the first and last value are held.
+
+    By a cubic spline, as a simulator's output; inputs, which may jump, linearly, unless they are
+    `held`, `(n,)`.
+    """
     index = np.arange(len(values))
     rows = np.clip(rows, 0, len(values) - 1)
-    if smooth and len(values) > 1:
+    if held is None and len(values) > 1:
         return np.asarray(scipy.interpolate.CubicSpline(index, values)(rows))
-    return np.column_stack([np.interp(rows, index, channel) for channel in values.T])
+    lines = np.column_stack([np.interp(rows, index, channel) for channel in values.T])
+    return np.where(
+        False if held is None else held, values[np.floor(rows + NEAR).astype(int)], lines
+    )
 
 
 def _rows(own: Grid, onto: Grid) -> Array:

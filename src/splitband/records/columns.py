@@ -81,7 +81,7 @@ def pick(
     reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
     usable = [c for c, reason in reasons.items() if not reason]
     if columns is not None:
-        measured, left_out = find(table, columns), []
+        measured, left_out = find(table, columns) or known, []
     else:
         measured = usable
         ignored = timed if time_column == "" else []

@@ -12,7 +12,7 @@ import pandas as pd
 from splitband.records.plausibility import period_of
 from splitband.records.signals import as_float, bare_name, category_names, refilled
 from splitband.records.timing import seconds_of, stamp_after
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ class Reading:
     jitter : Largest deviation of a step between its time stamps from the sampling time, in s;
         of stamps that `grid` is for, that of nine in ten steps, gaps aside.
     grid : Step in s of the even grid that `read(..., step=)` put uneven stamps on; None without.
-    hold : Inputs that are held between their own stamps, of those that had to be filled; the
-        others are interpolated. None where none had to be.
+    hold : Inputs that are held, between their stamps and in gaps; the others are interpolated.
+        None where nothing had to be filled.
     step : Sampling time in s before `Record.resample`; None without.
     periods : Periods of the outputs and inputs that `Record.unwrap` lets go on, by name.
     limits : Lowest and highest value to which `Record.clip_outliers` limits outputs, by name.
@@ -74,6 +74,10 @@ class Reading:
         said = [] if self.grid is None else [f"uneven stamps put on a grid of {self.grid:g} s"]
         said += [] if self.step is None else [f"means of samples every {self.step:g} s"]
         return said + ([f"{', '.join(self.hold)} held between values"] if self.hold else [])
+
+    def holds(self, names: Sequence[str]) -> Flags:
+        """Return which of these signals are held where they have to be filled, `(names,)`."""
+        return np.array([name in (self.hold or ()) for name in names])
 
     def label(self, name: str) -> str:
         """Return the name of a channel with its unit, as "tank (minus 20.3)"."""

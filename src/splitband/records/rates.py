@@ -51,9 +51,12 @@ def regular(known: Flags) -> int:
 
 
 def is_smooth(x: Array) -> bool:
-    """Return whether the neighbours of a sample tell it twice as well as the one before it does."""
-    between = x[1:-1] - 0.5 * (x[:-2] + x[2:])
-    return len(x) > 2 and bool(2 * np.std(between) < np.std(np.diff(x)))
+    """Return whether the neighbours of a sample tell it twice as well as the one before it does.
+
+    What mostly repeats its last value is a command, also where a sweep makes most of its variance.
+    """
+    between, steps = x[1:-1] - 0.5 * (x[:-2] + x[2:]), np.diff(x)
+    return len(x) > 2 and bool(np.median(np.abs(steps)) > 0 and 2 * np.std(between) < np.std(steps))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,29 +120,39 @@ class Even:
         """Return a held input: its mean over the step that begins; NaN where it is not known."""
         seen = np.isfinite(x)
         own, x, little = self.seconds[seen], x[seen], 1e-6 * self.step
-        first = np.searchsorted(own, self.times + little, side="right") - 1
-        last = np.searchsorted(own, self.times + self.step - little, side="right") - 1
+        begin, unknown = self._begin(own)
+        end = self.times + self.step
+        first, last = (
+            np.maximum(np.searchsorted(own, each, side="right") - 1, 0)
+            for each in (begin + little, end - little)
+        )
         knots = np.concatenate([own, [max(own[-1], self.times[-1]) + 2 * self.step]])
         integral = np.concatenate([[0.0], np.cumsum(x * np.diff(knots))])
-        ends = np.interp(self.times[:, None] + [0.0, self.step], knots, integral)
-        means = np.where(first == last, x[np.maximum(first, 0)], np.diff(ends)[:, 0] / self.step)
-        return self._known(own, np.where(first < 0, x[0], means))
+        whole = np.interp(end, knots, integral) - np.interp(begin, knots, integral)
+        return np.where(unknown, np.nan, np.where(first == last, x[first], whole / (end - begin)))
 
     def between(self, x: Array) -> Array:
         """Return an input interpolated between its stamps; NaN where it is not known."""
         seen = np.isfinite(x)
-        own = self.seconds[seen]
-        return self._known(own, np.interp(self.times, own, x[seen]))
+        begin, unknown = self._begin(own := self.seconds[seen])
+        return np.where(unknown, np.nan, np.interp(begin, own, x[seen]))
 
-    def _known(self, own: Array, values: Array) -> Array:
-        """Return values of an input, NaN before its stamps and where some are missing."""
+    def _begin(self, own: Array) -> tuple[Array, Flags]:
+        """Return from when on an input with these stamps is known, and where it is not known.
+
+        That is the time of the grid, or, at the first stamp and after a hole, a stamp up to half a
+        step later, as for `measured`: the value from before the hole is not that of the sample.
+        """
         steps = np.diff(own)
         usual = float(np.median(steps)) if len(steps) else np.inf
         often = len(steps) > 0 and np.mean(steps <= NEAR * usual) > _OFTEN
         longest = NEAR * max(usual, self.step) if often else np.inf
-        last = own[np.maximum(np.searchsorted(own, self.times + 1e-6 * self.step, "right") - 1, 0)]
-        unknown = (self.times - last > longest) | (self.times < own[0] - 0.5 * self.step)
-        return np.where(unknown, np.nan, values)
+        at = np.searchsorted(own, self.times + 1e-6 * self.step, "right")
+        own = np.concatenate([[-np.inf], own, [np.inf]])
+        age, late = self.times - own[at], own[at + 1] - self.times
+        old = (age > longest) | np.isinf(age)
+        beside = old & (late <= 0.5 * self.step)
+        return np.where(beside, own[at + 1], self.times), old & ~beside
 
 
 def last_of_each(seconds: Array) -> Flags:

@@ -119,7 +119,8 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
     Parameters
     ----------
     columns : measured channels; by default every column that holds a number, has a name, and is
-        neither an input nor a time (in NPZ and MAT: among the longest variables). Other columns
+        neither an input nor a time (in NPZ and MAT: among the longest variables); () for a plan,
+        whose outputs are its inputs. Other columns
         with content are left out, with a `ReadingWarning` that names them.
     inputs : known inputs `u`. None means that there are none, and a `ReadingWarning` names the
         columns that may be inputs. A function of a column, a Series, says whether it is one.
@@ -144,11 +145,12 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
         the stamps they are means, see `Record.resample`. Of rows of one time the last counts. A
         column that is slower than others is measured at its own stamps alone. `Record.reading`
         keeps these choices for other files of the system.
-    hold : columns that are held from stamp to stamp, as commands are, where they have to be filled;
-        other inputs are interpolated. By default those inputs that their neighbours predict
-        no better than the value before. A held input has its mean over the step that begins at a
-        sample. An input with a value in fewer than half of the rows, as one that is logged on
-        change, is filled without `step`, too. A `ReadingWarning` names them.
+    hold : columns that are held from stamp to stamp and in gaps, as commands are, where they have
+        to be filled; other inputs are interpolated. By default those inputs that mostly repeat
+        their last value, or that their neighbours predict no better than that value. A held input
+        has its mean over the step that begins at a sample. An input with a value in fewer than half
+        of the rows, as one that is logged on change, is filled without `step`, too. A
+        `ReadingWarning` names them; a model keeps the choice.
     gaps : "refuse" values that are not finite, and missing rows between the stamps; "mask" marks
         both as not measured, see `Record.with_gaps`.
     missing : words or numbers that stand for a missing value: ["Bad", "-9999"].
@@ -239,8 +241,9 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
             notes += more
             if how.step == "auto":
                 how = replace(how, step=record.sampling_time)
-            how = replace(how, hold=record.reading, unwrap=record.reading)
-            how = replace(how, clip_outliers=record.reading.limits)
+            decided = record.reading
+            how = replace(how, unwrap=decided, clip_outliers=decided.limits)
+            how = how if decided.hold is None else replace(how, hold=decided)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     for note in dict.fromkeys(notes):
@@ -348,9 +351,11 @@ def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Recor
         table = {name: column.iloc[::-1] for name, column in table.items()}
     signals, found = _signals(table, picked, how)
     left_out = f"left out: {listed(picked.left_out)}" if picked.left_out else ""
-    notes = ["" if times is None else times.note, left_out, picked.forgotten]
+    notes = [left_out, picked.forgotten]
+    notes += [] if times is None else [times.note, times.missing_hour]
     sparse = [c for c, x in signals.items() if is_sparse(x)]
-    notes += [_slower(c, signals[c]) for c in picked.measured if c in sparse]
+    outputs = [c for c in picked.measured if c not in picked.known]  # a plan's are its inputs
+    notes += [_slower(c, signals[c]) for c in outputs if c in sparse]
     if spaced is None:
         assert times is not None
         even, signals, varies, said = _gridded(times, signals, len(picked.known), how.step)
@@ -367,14 +372,15 @@ def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Recor
         if times is not None and how.time_column is None:
             check_other_clock(table, picked.stamps[-1], step * (rows - 1))
         even = Even.of_rows(rows)
-    held, between = _to_fill(signals, picked, None if spaced is None else sparse, how.hold)
+    held, between = _courses({c: signals[c] for c in picked.known}, how.hold)
     own, signals = signals, {**signals}
-    signals |= {c: even.held(own[c]) for c in held} | {c: even.between(own[c]) for c in between}
-    if spaced is None:
-        signals |= {c: even.measured(own[c]) for c in picked.measured if c not in held}
-    for what, which in {"held": held, "interpolated": between}.items():
-        if which:
+    lacking = [c for c in held + between if spaced is None or not np.isfinite(own[c]).all()]
+    for what, which, put in ("held", held, even.held), ("interpolated", between, even.between):
+        if which := [c for c in which if c in lacking and (spaced is None or c in sparse)]:
+            signals |= {c: put(own[c]) for c in which}
             notes.append(f"inputs {what} between their values: {listed(which)}; --hold decides")
+    if spaced is None:
+        signals |= {c: even.measured(own[c]) for c in outputs}
     record = Record.with_gaps(
         np.column_stack([signals[c] for c in picked.measured]),
         step,
@@ -383,7 +389,7 @@ def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Recor
         inputs=tuple(picked.known),
         name=called,
         start=start,
-        reading=replace(found, hold=tuple(held) if held or between else None),
+        reading=replace(found, hold=tuple(held) if lacking else None),
     )
     if how.step is not None and how.step != "auto":
         record = record.resample(how.step)
@@ -440,24 +446,15 @@ def _slower(name: str, x: Array) -> str:
     )
 
 
-def _to_fill(
-    signals: Mapping[str, Array], picked: Picked, sparse: list[str] | None, hold: Any
-) -> tuple[list[str], list[str]]:
-    """Return which signals are to be held between their values, and which inputs interpolated.
-
-    With `sparse`, only those; an output is held where it is asked for, as in a file of inputs.
-    """
+def _courses(inputs: Mapping[str, Array], hold: Any) -> tuple[list[str], list[str]]:
+    """Return which inputs are held where they have no values, and which are interpolated."""
     asked = hold.hold if isinstance(hold, Reading) else hold
     chosen = [asked] if isinstance(asked, str) else asked
     if chosen is not None and not isinstance(hold, Reading):
-        chosen = of_channels("hold", dict.fromkeys(chosen), [*signals])
-    outputs = [c for c in picked.measured if chosen is not None and c in chosen]
-    names = [c for c in [*picked.known, *outputs] if sparse is None or c in sparse]
+        chosen = of_channels("hold", dict.fromkeys(chosen), [*inputs])
     if chosen is None:
-        held = [c for c in names if not is_smooth(signals[c][np.isfinite(signals[c])])]
-    else:
-        held = [c for c in names if c in chosen]
-    return held, [c for c in names if c not in held]
+        chosen = [c for c, x in inputs.items() if not is_smooth(x[np.isfinite(x)])]
+    return [c for c in inputs if c in chosen], [c for c in inputs if c not in chosen]
 
 
 def _gridded(

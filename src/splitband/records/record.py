@@ -152,23 +152,30 @@ class Record:
         """Return a record of y and u that may contain NaN or infinite values.
 
         Missing outputs are interpolated linearly. A missing input keeps its last value, as a
-        command does between samples, with a warning, since this value drives simulators and models.
-        Its sample and the next one, which also depends on it, do not count as measured.
+        command does between samples, unless `reading` says that it is interpolated; with a warning,
+        since this value drives simulators and models. Its sample and the next one, which also
+        depends on it, do not count as measured.
         """
         y, measured = filled("y", signal_of("y", y))
-        known = None
+        reading, known = others.get("reading", Reading()), None
         if u is not None:
-            u, known = filled("u", signal_of("u", u), hold=True)
+            u = signal_of("u", u)
+            inputs = channel_names("inputs", others.get("inputs", ()), "u", u.shape[1])
+            u, known = filled("u", u, reading.hold is None or reading.holds(inputs))
             if len(u) == len(y):  # the constructor refuses any other length
                 driven = np.asarray(known.all(axis=1, keepdims=True))
                 measured = np.asarray(measured & driven & np.concatenate([driven[:1], driven[:-1]]))
         record = cls(y, sampling_time, u=u, measured=measured, **others)
         for name, lacks in zip(record.inputs, () if known is None else ~known.T, strict=False):
             if lacks.any():
+                how = "held there at its last value"
+                if reading.hold is None:
+                    how += "; interpolate it beforehand if it changes smoothly"
+                elif name not in reading.hold:
+                    how = "interpolated there"
                 warnings.warn(
                     f"{record.name or 'the record'}: input {name!r} is missing in {lacks.sum()} of "
-                    f"{len(record)} samples ({row_ranges(lacks)}) and is held there at its last "
-                    "value; interpolate it beforehand if it changes smoothly",
+                    f"{len(record)} samples ({row_ranges(lacks)}) and is {how}",
                     ReadingWarning,
                     stacklevel=2,
                 )
@@ -434,6 +441,16 @@ def check_alike(other: Record, record: Record, name: str) -> None:
                 f"{what} of {name} must be {order} of the training record, "
                 f"{', '.join(known)}, got {', '.join(names)}"
             )
+    held, asked = other.reading.holds(other.inputs), record.reading.holds(record.inputs)
+    if None not in (other.reading.hold, record.reading.hold) and (held != asked).any():
+        each = int((held != asked).argmax())
+        ways = ("held", "interpolated")[:: 1 if asked[each] else -1]
+        raise InputError(
+            f"input {record.inputs[each]!r} of {name} must be {ways[0]} between its values, as in "
+            f"the training record, got {ways[1]}; splitband.read(..., "
+            "reading=model.fitted.record.reading) reads it alike, and hold (--hold) names what is "
+            "held"
+        )
     way_out = "; Record.like does that: history.like(model.fitted.record)"
     if other.reading.units != record.reading.units:
         raise InputError(

@@ -249,18 +249,19 @@ def plain_numbers(column: Column, decimal: str) -> Column:
     return plain if (values.isna() & plain.notna()).any() else values
 
 
-def filled(what: str, values: Array, hold: bool = False) -> tuple[Array, Flags]:
+def filled(what: str, values: Array, held: Flags | bool = False) -> tuple[Array, Flags]:
     """Fill values that are not finite; return the result and a mask of finite values.
 
     Both have the shape of `values`, `(time, n)`. A gap is a straight line, or the value before it
-    with `hold`; before the first and after the last finite value of a channel that value is held.
+    in channels that are `held`, `(n,)`; before the first and after the last finite value of a
+    channel that value is held.
     """
     known = np.isfinite(values)
     if not (some := known.any(axis=0)).all():
         raise InputError(f"{what} must have a finite value in channel {some.argmin()}: it has none")
     seen = pd.DataFrame(np.where(known, values, np.nan))
-    whole = seen.ffill().bfill() if hold else seen.interpolate(limit_direction="both")
-    return whole.to_numpy(), known
+    lines, steps = seen.interpolate(limit_direction="both"), seen.ffill().bfill()
+    return np.where(held, steps, lines), known
 
 
 def refilled(y: Array, seen: Array) -> Array:

@@ -41,11 +41,13 @@ def of_comparison(comparison: Comparison) -> Table:
     truth = " Errors are against the noise-free signal." if record.y_true is not None else ""
     ahead = f"; each method then predicted the next {len(record) - train:,} in one {run_of(record)}"
     tests = f"; each method then simulated {' and '.join(t.name for t in comparison.tests)}"
+    others = len(comparison.others)
+    more = f" {others} more record(s) train, of which nothing is held out." if others else ""
     title = (
         f"{_called(record)}: the training part has {train:,} samples"
         + (ahead if train < len(record) else "")
         + (tests if comparison.tests else "")
-        + f". {what_was_known(comparison)}{truth}{_from_origins(comparison)}"
+        + f". {what_was_known(comparison)}{truth}{_from_origins(comparison)}{more}"
     )
     missing = {} if trial is None else trial.without_result
     ranked = ordered(trial, comparison.fits)

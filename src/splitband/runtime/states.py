@@ -2,8 +2,8 @@
 
 A field holds what its annotation says: an array, a number or a text; several of these or of
 dataclasses in a tuple; a mapping from texts to numbers or several; or another dataclass. Names of
-parts are joined by dots. Texts are arrays, too. What is None or empty has no array, and neither has
-a field that `repr` leaves out. The classes are those of annotations, never those of a file.
+parts are joined by dots. Texts are arrays, too. None and an empty mapping have no array, nor has a
+field that `repr` leaves out. The classes are those of annotations, never those of a file.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def taken_apart(value: Any) -> Arrays:
         return named({name: taken_apart(part) for name, part in value.items()})
     if isinstance(value, tuple | list):
         if all(isinstance(each, _SINGLE) for each in value):
-            return {"": array_of(np.array(value))} if value else {}
+            return {"": array_of(np.array(value))}
         return named({str(i): taken_apart(each) for i, each in enumerate(value)})
     return {"": array_of(value.isoformat() if isinstance(value, pd.Timestamp) else value)}
 
