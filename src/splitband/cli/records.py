@@ -42,11 +42,9 @@ from splitband.simulators.open_simulator import (
 from splitband.simulators.unknown import Unknown
 
 
-def load_record(
-    name: str, reading: RecordOptions, inputs_by: Callable[[Any], bool] | None = None
-) -> Record:
+def load_record(name: str, reading: RecordOptions) -> Record:
     """Return a named record, or read a file with a single run; see `load_records`."""
-    record, *others = load_records(name, reading, inputs_by=inputs_by)
+    record, *others = load_records(name, reading)
     if others:
         raise InputError(f"--runs must be left out here, where one record is asked for, got {name}")
     return record
@@ -56,11 +54,11 @@ def load_records(
     name: str,
     reading: RecordOptions,
     like: Forecaster | None = None,
-    inputs_by: Callable[[Any], bool] | None = None,
+    reader: Callable[..., Any] = read,
 ) -> list[Record]:
     """Return a named record, or read a file, and print channels and inputs of each of its runs.
 
-    `inputs_by` says which columns are inputs where none are named; then nothing is printed.
+    With a `reader` of its own nothing is printed.
 
     Columns and inputs default to those of the model of --like, and the file is read and prepared
     like its training record. Raises ValueError if the record's columns or inputs differ from these.
@@ -76,7 +74,7 @@ def load_records(
         found = [RECORDS[name].make()]
     else:
         columns: Any = None if reading.columns is None else names(reading.columns)
-        inputs: Any = inputs_by if reading.inputs is None else names(reading.inputs)
+        inputs: Any = None if reading.inputs is None else names(reading.inputs)
         if trained is not None and inputs is None:
             inputs = [each for each in trained.inputs if each not in (columns or ())]
         if trained is not None and columns is None:
@@ -85,18 +83,18 @@ def load_records(
         how: dict[str, Any] = {"sampling_time": reading.sampling_time, "runs": reading.runs}
         how |= {"unwrap": periods(reading.unwrap)} if reading.unwrap else {}
         how |= {"join": joined(reading.join or [])}
-        how |= {"clip_outliers": names(reading.clip_outliers or "")}
+        how |= {"clip_outliers": names(reading.clip_outliers or ""), "reader": reader}
         found = _read(name, rule, reading, trained, columns=columns or None, inputs=inputs, **how)
         found = [found[0].detrend(), *found[1:]] if reading.detrend else found
         for record in found:
-            if record.measured is not None and inputs_by is None:
+            if record.measured is not None and reader is read:
                 missing = ~record.complete
                 printing.console.print(
                     f"{_named(name, record, found)}: {missing.sum()} of {len(missing)} samples "
                     f"have missing values and are masked: {row_ranges(missing)}"
                 )
     found = [record.like(trained or found[0]) for record in found]
-    for record in found if inputs_by is None else ():
+    for record in found if reader is read else ():
         announce(record, _named(name, record, found))
     record = found[0]
     if trained is not None:
@@ -140,7 +138,12 @@ def _layout(files: FileOptions, model: Record | None = None) -> dict[str, Any]:
 
 
 def _read(
-    path: str | Path, rule: str, files: FileOptions, model: Record | None, **options: Any
+    path: str | Path,
+    rule: str,
+    files: FileOptions,
+    model: Record | None,
+    reader: Callable[..., Any] = read,
+    **options: Any,
 ) -> list[Record]:
     """Read the runs of a file as these options say, and otherwise as a model's record was read.
 
@@ -152,7 +155,7 @@ def _read(
     options["gaps"] = files.gaps
     options |= {} if model is None else {"fallback_sampling_time": _step_of(model)}
     try:
-        found = read(path, **options)
+        found = reader(path, **options)
     except ColumnError as error:
         if model is None:
             raise
