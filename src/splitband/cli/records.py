@@ -23,7 +23,6 @@ from splitband.comparison.methods import BASES
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import give_simulator
 from splitband.forecasters.prediction import inputs_after
-from splitband.forecasters.simulation import Simulation
 from splitband.records import Record, read
 from splitband.records.alignment import sampled_like
 from splitband.records.columns import ColumnError
@@ -32,6 +31,7 @@ from splitband.records.signals import described, row_ranges, same_names
 from splitband.records.timing import near_sampling
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.simulators import Simulator
 from splitband.simulators.open_simulator import (
     check_runs_as_it_is,
     is_fitted,
@@ -314,15 +314,22 @@ def _how(options: SimulatorOptions, time_column: str | None) -> dict[str, Any]:
     return how | {"columns": names(options.simulator_columns or ""), "time_column": time_column}
 
 
-def elsewhere(file: str, record: Record, reading: RecordOptions) -> Forecaster:
-    """Return the method that predicts with the simulation of a file."""
-    _check_file(file, "--also must be a file")
-    try:
-        opened = open_simulator(file, record, time_column=reading.time_column)
-        simulated(record, opened)  # so that what is wrong is said at once
-    except InputError as error:
-        raise InputError(f"--also: {error}") from None
-    return Simulation(opened, name=file)
+def elsewhere(
+    asked: Sequence[str], record: Record, reading: RecordOptions
+) -> dict[str, list[Simulator]]:
+    """Return the simulations of --also, by the name of their first file."""
+    found = dict[str, list[Simulator]]()
+    for files in (names(text) or [text] for text in asked):
+        if files[0] in found:
+            raise InputError(f"--also must name a file once, got {files[0]} again")
+        for file in files:
+            _check_file(file, "--also must be a file")
+        try:
+            runs = [open_simulator(file, record, time_column=reading.time_column) for file in files]
+        except InputError as error:
+            raise InputError(f"--also: {error}") from None
+        found[files[0]] = runs
+    return found
 
 
 def runnable(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:

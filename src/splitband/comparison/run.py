@@ -49,7 +49,7 @@ def compare(  # noqa: PLR0913
     seeds: int | None = None,
     refit: bool = False,
     device: str = "cpu",
-    also: Sequence[Forecaster] = (),
+    also: Mapping[str, Sequence[Simulator]] | None = None,
     cores: int = 1,
     executor: Executor | None = None,
     watch: Watch | None = None,
@@ -101,8 +101,9 @@ def compare(  # noqa: PLR0913
         the number that does best; the other networks are trained once.
     refit : Whether the recommended method is refitted to the whole record at the end.
     device : The device that trains networks: cpu, cuda, cuda:1.
-    also : Methods of the table and the page that are never recommended, such as a simulation made
-        elsewhere: `sb.Simulation(sb.Recorded(y, 0.1), name="mine")`.
+    also : Simulations made elsewhere, by name, as further rows of the table and the page. They are
+        never recommended. Of each there is that of the record and, to be scored there, too, one of
+        each test record: `{"mine": [sb.Recorded(y, 0.1), sb.Recorded(y_of_test, 0.1)]}`.
     cores : Trainings side by side, each in a process with one thread. With several, a script must
         keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
     executor : Runs the trainings in place of processes of this machine: any executor of

@@ -401,7 +401,8 @@ def _left_out(comparison: Comparison) -> list[str]:
     if comparison.left_out:
         sentences.append(
             f"Not tested: {', '.join(comparison.left_out)}. Such methods continue the training "
-            "record, or need a simulator of the test record (--test-simulator)."
+            "record, or need a simulation of the test record (--test-simulator, or one more file "
+            "of --also)."
         )
     choice = plan.bands.choice
     if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
