@@ -23,6 +23,7 @@ from splitband.comparison.methods import BASES
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import give_simulator
 from splitband.forecasters.prediction import inputs_after
+from splitband.forecasters.simulation import description_of, simulations
 from splitband.records import Record, read
 from splitband.records.alignment import sampled_like
 from splitband.records.columns import ColumnError
@@ -364,4 +365,8 @@ def with_simulator(
         with printing.warnings_as_lines():
             give_simulator(model, name, past, steps, **_how(options, files.time_column))
     elif "simulator" in model.needs or model.parameters:
-        raise InputError(f"--simulator must be given for {model.name}, which runs one")
+        said = next(filter(None, map(description_of, simulations(model))), "")
+        raise InputError(
+            f"--simulator must be given for {model.name}, which runs one {said}".rstrip()
+            + ": --simulator FILE.py:NAME, or a file of its output or an FMU"
+        )

@@ -276,11 +276,12 @@ def of_checks(checks: Mapping[str, ModelCheck], used: Usage) -> Page:
     record = next(iter(checks.values())).record
     drawn = looks({name: titled(name, check.title) for name, check in checks.items()})
     simulated = {name: _placed(checks[name].simulation.y, record) for name in drawn}
-    run = Run(record, "simulation", simulated)
+    run = Run(record, "simulation", simulated, alike=True)
     title = f"{len(checks)} models on {record.name or 'a record'}"
-    plots, listed = over_time.over_time(run, drawn), [tables.of_checks(checks)]
+    plots, table = over_time.over_time(run, drawn), tables.of_checks(checks)
+    listed = [replace(table, rows=dict.fromkeys(table.rows, ""))]
     sections = [
-        Section("answer", title, plots=plots, tables=listed),
+        Section("answer", "Simulations", plots=plots, tables=listed, items=table.remarks()),
         *_by_band(run, drawn, None),
         *_made(used),
     ]
