@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband.cli.display import in_place
 from splitband.comparison.clock import Clock
 from splitband.comparison.running import RunningComparison
 from splitband.report import results as written
 from splitband.runtime.outputs import FACTS, LOCK
+from splitband.runtime.progress import in_place
 from tests.cli.support import assert_fails, call, files, results, watched
 
 pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
@@ -176,6 +176,20 @@ def test_a_notebook_whose_cursor_only_moves_on_gets_lines(monkeypatch: pytest.Mo
     assert in_place()
     monkeypatch.setenv("JPY_PARENT_PID", "1")
     assert not in_place()
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_python_shows_where_a_comparison_stands_in_a_terminal_alone(
+    terminal: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: terminal, raising=False)
+    monkeypatch.setenv("TERM", "xterm-color")
+    monkeypatch.delenv("JPY_PARENT_PID", raising=False)
+    record = sb.Record(np.sin(0.3 * np.arange(100)), 0.1)
+    sb.compare(record, 80, [sb.Mean(), sb.Harmonic()])
+    lines = [line.strip() for line in capsys.readouterr().out.split("\r")]
+    assert any("best so far: sinusoids" in line for line in lines) == terminal
+    assert lines[-2:] == (["", ""] if terminal else [""])
 
 
 def test_a_second_is_enough_for_a_result(tmp_path: Path) -> None:

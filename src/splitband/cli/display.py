@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -21,6 +19,7 @@ from splitband.comparison.running import RunningComparison
 from splitband.report import results
 from splitband.report.tables import of_trial
 from splitband.runtime.errors import InputError, missing
+from splitband.runtime.progress import in_place
 from splitband.runtime.system import available_cores
 
 
@@ -88,15 +87,6 @@ class Display:
                 results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there
             printing.warn(f"{self._out} could not be written: {error}")
-
-
-def in_place() -> bool:
-    """Return whether what was printed can be changed: in a terminal, but not in a notebook.
-
-    A notebook gives its commands (`!splitband`) a pseudo-terminal that only adds lines.
-    """
-    notebook = "JPY_PARENT_PID" in os.environ
-    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb" and not notebook
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.records import Record
 from splitband.runtime.deadlines import within
 from splitband.runtime.errors import InputError
+from splitband.runtime.progress import progress_line
 from splitband.simulators import Simulator
 from splitband.simulators.parameters import Adjustable
 from splitband.training import Progress, TrainingSettings
@@ -108,7 +109,8 @@ def compare(  # noqa: PLR0913
         keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
     executor : Runs the trainings in place of processes of this machine: any executor of
         `concurrent.futures`, such as Dask's `Client.get_executor()`. It stays open.
-    watch : Called in this process after each training, with where the comparison stands.
+    watch : Called in this process after each training, with where the comparison stands. By
+        default a terminal or a notebook shows it on a line.
 
     Raises
     ------
@@ -127,7 +129,12 @@ def compare(  # noqa: PLR0913
     """
     given = locals()
     asked = PlanRequest(**{each.name: given[each.name] for each in fields(PlanRequest)})
-    return run(plan(asked), cores=cores, executor=executor, watch=watch)
+    with progress_line("fitting simple models") as show:
+
+        def watched(state: RunningComparison) -> None:
+            show(f"{state.clock.left_in_words()}; {state.in_words()}")
+
+        return run(plan(asked), cores=cores, executor=executor, watch=watch or watched)
 
 
 def run(
