@@ -35,9 +35,9 @@ def test_a_comparison_is_made_for_some_samples_ahead(
     assert "model.predict(12)" in page
     # The model says so where it is checked.
     call(f"check {tmp_path}/out/model --record record.csv", tmp_path / "checked")
-    assert {"1 step ahead", "12 steps ahead"} < {*results(tmp_path / "checked")["fit"]}
+    assert {"1 sample ahead", "12 samples ahead"} < {*results(tmp_path / "checked")["fit"]}
     call(f"check {tmp_path}/out/model --record record.csv --ahead 3", tmp_path / "checked")
-    assert {"1 step ahead", "3 steps ahead"} < {*results(tmp_path / "checked")["fit"]}
+    assert {"1 sample ahead", "3 samples ahead"} < {*results(tmp_path / "checked")["fit"]}
 
 
 def test_one_method_is_fitted_for_some_samples_ahead(tmp_path: Path) -> None:

@@ -20,12 +20,15 @@ pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
 LINE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --jobs 1 "
 
 
+@pytest.mark.usefixtures("drawn")
 def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record, seen = sb.read("record.csv", columns="a"), dict[str, str]()
+    shown = list[str]()
 
     def look(run: RunningComparison) -> None:
+        shown.extend(each.read_text(encoding="utf-8") for each in tmp_path.glob("report.html"))
         if not run.new_table:
             return
         facts, model = results(tmp_path), sb.load(tmp_path / "model")
@@ -40,6 +43,9 @@ def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
     assert "round 1; best so far: " in said
     assert "round 2; best so far: " in said
     assert "unfinished" not in results(tmp_path)
+    assert shown
+    assert all("splitband compare record.csv" in page for page in shown)
+    assert all("SHA-256 of record.csv" in page for page in shown)
 
 
 def test_a_disk_error_in_between_is_a_warning(
@@ -209,5 +215,5 @@ def test_a_summary_has_a_column_for_each_number_of_samples_ahead(
     call("summary of5 of12 --out all.csv")
     table = pd.read_csv("all.csv")
     for ahead in (5, 12):
-        assert table[f"fit % {ahead} ahead"].notna().tolist() == [ahead == 5, ahead == 12]
-    assert table["fit % 1 ahead"].notna().all()
+        assert table[f"fit % {ahead} samples ahead"].notna().tolist() == [ahead == 5, ahead == 12]
+    assert table["fit % 1 sample ahead"].notna().all()

@@ -201,7 +201,12 @@ def test_a_model_keeps_what_it_was_made_for(tmp_path: Any) -> None:
     assert model.held_out is not None
     assert model.held_out.ahead == AHEAD
     checked = sb.check(model, Record(wandering(9), 1.0))
-    assert [*checked.fits] == ["simulation", "1 step ahead", "2 steps ahead", "20 steps ahead"]
+    assert [*checked.fits] == [
+        "simulation",
+        "1 sample ahead",
+        "2 samples ahead",
+        "20 samples ahead",
+    ]
     assert [*sb.check(model, Record(wandering(9), 1.0), ahead=5).fits][1:] == [
-        *("1 step ahead", "5 steps ahead"),
+        *("1 sample ahead", "5 samples ahead"),
     ]

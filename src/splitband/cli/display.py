@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.text import Text
 
 from splitband.cli import clock, printing
+from splitband.cli.usage import usage
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import Plan
 from splitband.comparison.running import RunningComparison
@@ -79,8 +80,9 @@ class Display:
         try:
             if whole:
                 self._written = True
-                facts = self._facts | {"unfinished": state.doing}
-                results.save(state.comparison(), self._out, facts)
+                found, facts = state.comparison(), self._facts | {"unfinished": state.doing}
+                asked = facts["command"], facts["arguments"], self._out
+                results.save(found, self._out, facts, usage(*asked, state.plan, found.model))
                 if (cores := state.clock.cores) > 1:  # workers trained meanwhile, unlike later
                     state.clock.writing *= cores / (cores + 1)
             else:

@@ -177,7 +177,7 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
     if comparison.medians[comparison.recommended].tests:
         where = f"test record {comparison.tests[0].name or 1}{_one_ahead(comparison)}"
     tests = comparison.residual_tests
-    return {f"{test.verdict()} (Tested on {where}.)": test for test in tests}
+    return {f"{test.finding()} (Tested on {where}.)": test for test in tests}
 
 
 def answer(comparison: Comparison) -> list[str]:

@@ -220,7 +220,7 @@ class Chart:
         if log:
             shown.yaxis.ticker = _decades(limits)
         elif height <= SMALL:
-            shown.yaxis.ticker = BasicTicker(desired_num_ticks=3)
+            shown.yaxis.ticker = BasicTicker(desired_num_ticks=4)
         if axis.dates:
             shown.xaxis.formatter = DatetimeTickFormatter(**DATES, **CONTEXT)
 

@@ -257,7 +257,7 @@ def of_check(
         (column, "\n".join(f"fit {tenths(of[i])} %, {far}" for far, of in result.fits.items()))
         for i, column in enumerate(record.columns)
     ]
-    answer = f"{result.outcome.capitalize()}: {result.title or name}"
+    answer = f"{result.title or name}: {result.summary()}"
     plots = over_time.over_time(run, drawn)
     sections = [
         Section("answer", answer, result.in_words(), plots, facts=facts),
