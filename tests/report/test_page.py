@@ -85,7 +85,7 @@ def test_the_page_says_what_it_must_and_names_are_escaped(
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
     said, best = words_of(tree), everything.recommended
     assert titled(best, labels_of(everything)[best]) in said
-    words = "samples have missing values", "a note", "Error by frequency band"
+    words = "samples are masked", "a note", "Error by frequency band"
     assert all(each in said for each in (*words, "RMSE, later", "splitband compare 'a <b>'"))
 
 

@@ -381,7 +381,7 @@ def _sampling(record: Record) -> str:
     step = f"{len(record)} samples every {record.sampling_time:.6g} s"
     step += "" if record.start is None else f", {record.grid}"
     uneven = "even" if jitter < 1e-6 * record.sampling_time else f"steps vary by {jitter:.2g} s"
-    gaps = f"{missing.sum()} with gaps ({row_ranges(missing)})" if missing.any() else "no gaps"
+    gaps = f"{missing.sum()} masked ({row_ranges(missing)})" if missing.any() else "no gaps"
     return f"{step}; {uneven}; {gaps}"
 
 

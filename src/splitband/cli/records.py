@@ -92,7 +92,8 @@ def load_records(
                 missing = ~record.complete
                 printing.console.print(
                     f"{_named(name, record, found)}: {missing.sum()} of {len(missing)} samples "
-                    f"have missing values and are masked: {row_ranges(missing)}"
+                    "are masked, as an output is missing, or an input there or just before: "
+                    f"{row_ranges(missing)}"
                 )
     found = [record.like(trained or found[0]) for record in found]
     for record in found if reader is read else ():

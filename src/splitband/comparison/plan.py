@@ -129,7 +129,7 @@ class Plan:
                 "The plant is unstable, and a controller holds it: errors of a free run grow until "
                 "it leaves the record. "
                 + (
-                    f"Judge forecasts instead: --ahead {self.reach}."
+                    f"Judge forecasts instead: ahead={self.reach} (--ahead {self.reach})."
                     if self.ahead is None
                     else f"Methods are judged by forecasts {self.ahead} samples ahead."
                 )

@@ -256,7 +256,7 @@ def held_out_of(forecaster: Forecaster, ahead: int | None = None) -> HeldOut:
     if fitted.begin or not fitted.whole:
         raise InputError(
             "level must be left out for a model that was saved without held-out errors: request an "
-            "interval before it is saved, or fit it with --intervals"
+            "interval before it is saved, also in the command (--intervals)"
         )
     shorter = forecaster.for_trial(len(record))
     origins = held_out_origins(forecaster, record, ahead or fitted.report.reach)

@@ -374,7 +374,9 @@ def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Recor
         signals |= {c: even.measured(own[c]) for c in picked.measured if c not in held}
     for what, which in {"held": held, "interpolated": between}.items():
         if which:
-            notes.append(f"inputs {what} between their values: {listed(which)}; --hold decides")
+            notes.append(
+                f"inputs {what} between their values: {listed(which)}; hold (--hold) decides"
+            )
     record = Record.with_gaps(
         np.column_stack([signals[c] for c in picked.measured]),
         step,

@@ -217,7 +217,12 @@ def warnings(comparison: Comparison) -> list[str]:
     """Return warnings about the numbers, the gravest first."""
     verdicts_of = verdicts(comparison).items()
     doubtful = [said for said, test in verdicts_of if test.unrelated or not test.accepted]
-    return [*gravest(comparison), *doubtful, *further(comparison)]
+    return [*dict.fromkeys((*pressing(comparison), *doubtful, *further(comparison)))]
+
+
+def pressing(comparison: Comparison) -> list[str]:
+    """Return the warnings that are always said: the gravest, and why methods have no numbers."""
+    return [*gravest(comparison), *_missing(comparison), *_untested(comparison)]
 
 
 def gravest(comparison: Comparison) -> list[str]:
@@ -227,13 +232,13 @@ def gravest(comparison: Comparison) -> list[str]:
         *_unstable(comparison),
         *_seen(comparison),
         *_worse_than_mean(comparison),
+        *_useless_term(comparison),
     ]
 
 
 def further(comparison: Comparison) -> list[str]:
     """Return the other warnings, without those of residual tests."""
     return [
-        *_useless_term(comparison),
         *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
@@ -241,7 +246,8 @@ def further(comparison: Comparison) -> list[str]:
         *_few_held_out(comparison.plan.train),
         *of_inputs(comparison.inputs_beyond_training, comparison.record),
         *_notes(comparison),
-        *_left_out(comparison),
+        *_untested(comparison),
+        *_useless_simulator(comparison),
     ]
 
 
@@ -290,7 +296,7 @@ def _useless_term(comparison: Comparison) -> list[str]:
     if np.isclose(found, alone, rtol=1e-6):
         return [
             "The unknown terms are left out of the model: they did not help on held-out samples, "
-            "or the time was over before they were trained; then --budget must be longer."
+            "or the time was over before they were trained; then budget (--budget) must be longer."
         ]
     if found * (1 + WORTH_TRAINING) < alone or best >= found:
         return []
@@ -395,22 +401,26 @@ def _notes(comparison: Comparison) -> list[str]:
     ]
 
 
-def _left_out(comparison: Comparison) -> list[str]:
-    """Return sentences on untested methods, and on hybrids left out for a useless simulator."""
-    plan, sentences = comparison.plan, list[str]()
-    if comparison.left_out:
-        sentences.append(
-            f"Not tested: {', '.join(comparison.left_out)}. Such methods continue the training "
-            "record, or need a simulation of the test record (--test-simulator, or one more file "
-            "of --also)."
-        )
-    choice = plan.bands.choice
-    if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
-        sentences.append(
-            "The simulator helps at no cut-off frequency, so hybrid models were left out. Name "
-            "them with --methods to compare them all the same."
-        )
-    return sentences
+def _untested(comparison: Comparison) -> list[str]:
+    """Return a sentence on methods that cannot simulate the test records."""
+    if not comparison.left_out:
+        return []
+    return [
+        f"Not tested: {', '.join(comparison.left_out)}. Such methods continue the training record, "
+        "or need a simulation of the test record: its y_sim (--test-simulator), or one more in "
+        "also (--also)."
+    ]
+
+
+def _useless_simulator(comparison: Comparison) -> list[str]:
+    """Return a sentence on hybrids left out for a useless simulator."""
+    plan, choice = comparison.plan, comparison.plan.bands.choice
+    if not choice or choice.simulator_helps is not False or set(plan.names) & set(HYBRIDS):
+        return []
+    return [
+        "The simulator helps at no cut-off frequency, so hybrid models were left out. To compare "
+        "them all the same, methods (--methods) must name them."
+    ]
 
 
 def of_bands(bands: Bands, training: Record) -> str:
@@ -439,8 +449,8 @@ def of_gaps(record: Record) -> list[str]:
     """Return sentences on samples that are not as they were logged, or missing, if any."""
     missing, said = int((~record.complete).sum()), record.reading.sentences
     gaps = (
-        f"{missing:,} of {len(record):,} samples have missing values. Curves have gaps there, and "
-        "errors exclude them."
+        f"{missing:,} of {len(record):,} samples are masked, as an output is missing, or an input "
+        "there or just before. Curves have gaps there, and errors exclude them."
     )
     read = f"The record was read with {'; '.join(said)}."
     return [*([read] if said else []), *([gaps] if missing else [])]

@@ -36,7 +36,7 @@ from splitband.report.numbers import in_one_offset
 from splitband.report.page.parts import Key
 from splitband.runtime.arrays import Array
 
-WIDTH, TALL, LOW, SMALL = 800, 270, 190, 125
+WIDTH, TALL, LOW, SMALL = 800, 270, 190, 140
 """Pixels: the width of plots, and the heights of large, low and small ones."""
 LEFT = 70
 """Pixels for the numbers of a vertical axis, equal for all plots: the time axes line up."""
@@ -59,10 +59,7 @@ DATES: dict[str, Any] = {
     "months": "%b %Y",
     "years": "%Y",
 }
-CONTEXT: Any = {
-    "context": DatetimeTickFormatter(**dict.fromkeys([*DATES][:-3], "%d %b"), days="%Y"),
-    "context_which": "start",
-}
+BELOW: dict[str, Any] = dict.fromkeys([*DATES][:-3], "%d %b") | {"days": "%Y"}
 """What stands below the first time of the day, or day of the year, on an axis."""
 MIN_EXPONENT = 4
 """Least exponent of a number that is written as a power of ten. Layout."""
@@ -222,7 +219,10 @@ class Chart:
         elif height <= SMALL:
             shown.yaxis.ticker = BasicTicker(desired_num_ticks=4)
         if axis.dates:
-            shown.xaxis.formatter = DatetimeTickFormatter(**DATES, **CONTEXT)
+            below = DatetimeTickFormatter(**BELOW)
+            shown.xaxis.formatter = DatetimeTickFormatter(
+                **DATES, context=below, context_which="start"
+            )
 
     @property
     def legend(self) -> list[Key]:
