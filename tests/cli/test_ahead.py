@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
 def test_a_comparison_is_made_for_some_samples_ahead(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = "compare record.csv --columns a,b --methods gru,persistence --hidden 4,3 --rounds 1"
+    asked = "compare record.csv --columns a,b --methods gru,persistence --hidden 3,4 --rounds 1"
     call(f"{asked} --warmup {WARMUP} --ahead 12 --jobs 1", tmp_path / "out")
     said, found = capsys.readouterr().out, results(tmp_path / "out")
     best = found["recommended"]
@@ -41,7 +41,7 @@ def test_a_comparison_is_made_for_some_samples_ahead(
 
 
 def test_one_method_is_fitted_for_some_samples_ahead(tmp_path: Path) -> None:
-    asked = f"fit record.csv --columns a --method gru --hidden 4,3 --warmup {WARMUP} --ahead 15"
+    asked = f"fit record.csv --columns a --method gru --hidden 3,4 --warmup {WARMUP} --ahead 15"
     call(f"{asked} --rounds 1", tmp_path / "searched")
     call(f"{asked} --epochs 1 --intervals", tmp_path / "given")
     for name in ("searched", "given"):

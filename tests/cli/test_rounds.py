@@ -17,7 +17,7 @@ from tests.cli.support import assert_fails, call, files, results, watched
 
 pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
 
-LINE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --jobs 1 "
+LINE = "compare record.csv --columns a --methods gru,mean --hidden 3,4 --jobs 1 "
 
 
 @pytest.mark.usefixtures("drawn")
@@ -76,7 +76,7 @@ def test_a_training_like_an_earlier_one_has_its_settings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     earlier, out = tmp_path / "earlier", tmp_path / "out"
-    line = "compare record.csv --columns a --inputs force --methods gru --hidden 5,2 --rounds 1"
+    line = "compare record.csv --columns a --inputs force --methods gru --hidden 2,5 --rounds 1"
     call(f"{line} --jobs 1", earlier)
     call(f"compare record.csv --like {earlier} --seeds 1 --jobs 1", out)
     found = results(out)

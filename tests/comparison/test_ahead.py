@@ -164,7 +164,13 @@ def test_the_median_of_networks_is_judged_ahead_on_test_records_too() -> None:
 def test_the_same_rounds_give_the_same_model() -> None:
     record = Record(wandering()[:400], 1.0)
     one, other = (
-        sb.compare(record, methods=["gru", "mean"], ahead=8, rounds=1, sizes=Sizes(3, 2))
+        sb.compare(
+            record,
+            methods=["gru", "mean"],
+            ahead=8,
+            rounds=1,
+            sizes=Sizes(hidden_low=2, hidden_high=3),
+        )
         for _ in range(2)
     )
     columns = [name for name in one.table.columns if "(s)" not in name]

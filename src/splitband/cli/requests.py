@@ -175,7 +175,8 @@ def _of_model(asked: options.ModelOptions) -> dict[str, Any]:
     if (rates := given.pop("lr_milestones", None)) is not None:
         given["milestones"] = options.milestones(rates)
     if (sizes := given.pop("hidden", None)) is not None:
-        given["sizes"] = Sizes(*options.hidden(sizes))
+        low, high = options.hidden(sizes)
+        given["sizes"] = Sizes(hidden_low=low, hidden_high=high)
     if "budget" in given:
         given["budget"] = options.seconds(given["budget"])
     settings, bands = (

@@ -191,7 +191,8 @@ class Plan:
 def plan(asked: PlanRequest) -> Plan:
     """Plan a comparison, and check everything, before anything is fitted; see `compare`."""
     base, fitted, beside = _roles(asked.simulator, asked.record)
-    sizes = asked.sizes or (Sizes(32, 16) if asked.recipe == "default" else Sizes())
+    of_paper = Sizes(hidden_low=32, hidden_high=64)
+    sizes = asked.sizes or (Sizes() if asked.recipe == "default" else of_paper)
     train, named, default = asked.samples, asked.methods, False
     if named is None:
         with_simulator = asked.simulator is not None or asked.record.y_sim is not None
