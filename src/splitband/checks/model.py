@@ -92,11 +92,8 @@ class ModelCheck:
         """Return the result of all tests in a phrase."""
         found = ["the residuals still contain an effect of the inputs"]
         if not any(test.dependent for test in self.tests):
-            found = (
-                []
-                if all(test.white for test in self.tests)
-                else ["the residuals are not white noise"]
-            )
+            white = all(test.white for test in self.tests)
+            found = [] if white else ["the residuals are not white noise"]
         found += [] if self.leaves is None else ["a long free run leaves the range"]
         return " and ".join(found) or "the tests find nothing that the model lacks"
 
