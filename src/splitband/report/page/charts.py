@@ -36,7 +36,7 @@ from splitband.report.numbers import in_one_offset
 from splitband.report.page.parts import Key
 from splitband.runtime.arrays import Array
 
-WIDTH, TALL, LOW, SMALL = 800, 270, 190, 140
+WIDTH, TALL, LOW, SMALL = 800, 270, 190, 125
 """Pixels: the width of plots, and the heights of large, low and small ones."""
 LEFT = 70
 """Pixels for the numbers of a vertical axis, equal for all plots: the time axes line up."""
@@ -219,7 +219,7 @@ class Chart:
         elif height <= SMALL:
             shown.yaxis.ticker = BasicTicker(desired_num_ticks=4)
         if axis.dates:
-            below = DatetimeTickFormatter(**BELOW)
+            below, shown.xaxis.axis_label = DatetimeTickFormatter(**BELOW), None
             shown.xaxis.formatter = DatetimeTickFormatter(
                 **DATES, context=below, context_which="start"
             )
