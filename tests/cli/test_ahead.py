@@ -25,7 +25,7 @@ def test_a_comparison_is_made_for_some_samples_ahead(
     assert [(column["ahead"], column["channel"]) for column in ahead] == [
         (steps, name) for steps in (1, 12) for name in "ab"
     ]
-    assert f"a, 12 samples ahead: fit {ahead[2]['values'][best]:.1f} % (1 ahead: " in said
+    assert f"a, 12 samples ahead: fit {ahead[2]['values'][best]:.1f} % (1 sample ahead: " in said
     assert "simulation of" in said or "forecast of" in said
     assert "Fits 1, 12 samples ahead are from" in " ".join(said.split())
     assert f"windows of {WARMUP + 12}" in found["methods"]["gru"]["description"]

@@ -24,6 +24,7 @@ from splitband.forecasters.held_out import (
     forecasts,
     horizons,
     many_origins,
+    so_far_ahead,
 )
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import (
@@ -251,7 +252,7 @@ def _ahead(
         )
     made = forecasts(forecaster, record, origins, other_record=not forecaster.anchored)
     return {
-        f"{k} sample{'s' if k > 1 else ''} ahead": tuple(fit_ahead(record, made, k).tolist())
+        so_far_ahead(k): tuple(fit_ahead(record, made, k).tolist())
         for k in (horizons(origins[0].steps) if origins else ())
     }
 

@@ -124,6 +124,11 @@ def many_origins(fitted: int, first: int, end: int, ahead: int) -> list[Origin]:
     return [Origin(fitted, first + int(at), ahead) for at in parts[:-1] + within]
 
 
+def so_far_ahead(samples: int) -> str:
+    """Return a number of samples ahead in words."""
+    return f"{samples} sample{'s' if samples > 1 else ''} ahead"
+
+
 def horizons(ahead: int) -> list[int]:
     """Return the samples ahead for which fits are shown: 1, a tenth of `ahead`, and `ahead`."""
     return sorted({1, max(ahead // 10, 1), ahead})

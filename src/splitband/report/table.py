@@ -21,6 +21,7 @@ from rich.text import Text
 
 from splitband.comparison.recommendation import COVERAGE, by_reason
 from splitband.forecasters.base import titled
+from splitband.forecasters.held_out import so_far_ahead
 from splitband.metrics import tenths
 from splitband.report.numbers import aligned, decimals, gain_in_words, number, percent
 from splitband.report.page import template
@@ -72,7 +73,7 @@ class Column:
         """Return the displayed heading, with the unit unless in the channel's name."""
         shown = SHOWN.get(self.heading, self.heading)
         if self.ahead:
-            shown = f"fit % {self.ahead} sample{'s' if self.ahead > 1 else ''} ahead"
+            shown = f"fit % {so_far_ahead(self.ahead)}"
         with_unit = self.measure and self.unit == "record" and not self.channel
         return f"{shown} ({self.measure})" if with_unit else shown
 

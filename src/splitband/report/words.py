@@ -16,7 +16,7 @@ from splitband.comparison.result import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
-from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
+from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out, so_far_ahead
 from splitband.forecasters.linear import Linear
 from splitband.metrics import Extrapolation
 from splitband.records import Record
@@ -65,11 +65,11 @@ def _ahead_headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     share = percent(comparison.require_trial().intervals[best].share)
     for fit in columns(comparison, "N ahead fit %"):
         alike = [c for c in nearer if (c.channel, c.record) == (fit.channel, fit.record)]
-        also = ", ".join(f"{c.ahead} ahead: {c.entry(best)} %" for c in alike)
+        also = ", ".join(f"{so_far_ahead(c.ahead)}: {c.entry(best)} %" for c in alike)
         facts = [f"fit {fit.entry(best)} %" + (f" ({also})" if also else "")]
         if fit.channel in held and len(lines) < comparison.record.ny:
             facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
-        of = f"{fit.ahead} sample{'s' if fit.ahead > 1 else ''} ahead"
+        of = so_far_ahead(fit.ahead)
         of += f" in test record {fit.record}" if fit.record else ""
         lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
     return lines
