@@ -50,55 +50,39 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     the error is the held-out one. With `Plan.ahead`, forecasts from many origins come first; of an
     unstable plant there is nothing else.
     """
-    best = comparison.recommended
-    if comparison.plan.ahead is not None and comparison.steps_of_interval(best):
-        free = _free_headline(comparison) if comparison.plan.reach is None else []
-        return [*_ahead_headline(comparison), *free]
-    return _free_headline(comparison)
+    plan, best, record = comparison.plan, comparison.recommended, comparison.record
+    lines = list[tuple[str, list[str]]]()
 
+    def add(fit: Column, of: str, facts: list[str], own: bool) -> None:
+        """Add a line, with the interval if the fit is that of the record's `own` samples."""
+        held = {c.channel: c.entry(best) for c in columns(comparison, "in interval")}
+        if own and fit.channel in held:
+            share = percent(comparison.require_trial().intervals[best].share)
+            facts = [*facts, f"inside the {share} interval: {held[fit.channel]}"]
+        lines.append((", ".join(filter(None, [fit.channel, of])), facts))
 
-def _ahead_headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
-    """Return the fits of forecasts from many origins; see `headline`."""
-    best, lines = comparison.recommended, list[tuple[str, list[str]]]()
+    judged = plan.ahead is not None and bool(comparison.steps_of_interval(best))
     nearer = columns(comparison, "1 ahead fit %", "N/10 ahead fit %")
-    held = {c.channel: c for c in columns(comparison, "in interval")}
-    share = percent(comparison.require_trial().intervals[best].share)
-    for fit in columns(comparison, "N ahead fit %"):
+    for fit in columns(comparison, "N ahead fit %") if judged else ():
         alike = [c for c in nearer if (c.channel, c.record) == (fit.channel, fit.record)]
         also = ", ".join(f"{so_far_ahead(c.ahead)}: {c.entry(best)} %" for c in alike)
+        of = so_far_ahead(fit.ahead) + (f" in test record {fit.record}" if fit.record else "")
         facts = [f"fit {fit.entry(best)} %" + (f" ({also})" if also else "")]
-        if fit.channel in held and len(lines) < comparison.record.ny:
-            facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
-        of = so_far_ahead(fit.ahead)
-        of += f" in test record {fit.record}" if fit.record else ""
-        lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
-    return lines
-
-
-def _free_headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
-    """Return the fits of free runs, or else the held-out error; see `headline`."""
-    best = comparison.recommended
+        add(fit, of, facts, len(lines) < record.ny)
+    if judged and plan.reach is not None:
+        return lines
     if not (comparison.tests or comparison.predictions):
-        return [
-            (
-                c.channel or comparison.record.columns[0],
-                [f"held-out RMSE {c.entry(best)} {c.measure}".rstrip()],
-            )
-            for c in columns(comparison, "held-out RMSE")
-        ]
+        for error in columns(comparison, "held-out RMSE"):
+            facts = [f"held-out RMSE {error.entry(best)} {error.measure}".rstrip()]
+            lines.append((error.channel or record.columns[0], facts))
+        return lines
     side = "test" if comparison.medians[best].tests else "forecast"
     fits, errors = (columns(comparison, f"{side} {what}") for what in ("fit %", "RMSE"))
-    held = {c.channel: c for c in columns(comparison, "in interval")}
-    ahead, run = len(comparison.record) - comparison.plan.train, run_of(comparison.record)
-    lines = []
+    run = f"{run_of(record)} of {len(record) - plan.train:,} samples"
     for fit, error in zip(fits, errors, strict=True):
-        of = f"test record {fit.record}" if fit.record else f"{run} of {ahead:,} samples"
-        unit = f" {error.measure}" if error.measure else ""
-        facts = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
-        if fit.channel in held and side == "forecast" and comparison.plan.ahead is None:
-            share = percent(comparison.require_trial().intervals[best].share)
-            facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
-        lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
+        of = f"test record {fit.record}" if fit.record else run
+        facts = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)} {error.measure}".rstrip()]
+        add(fit, of, facts, side == "forecast" and plan.ahead is None)
     return lines
 
 
