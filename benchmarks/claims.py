@@ -114,17 +114,17 @@ def note(rows: Sequence[Row]) -> str:
 def _where(rows: Iterable[Row]) -> str:
     """Return commits and machines of runs in words."""
     rows = [*rows]
-    commits = [*dict.fromkeys(row.get("commit") or "unknown" for row in rows)]
+    commits = [*dict.fromkeys(filter(None, (row.get("commit") for row in rows)))]
+    where = f"commit {' and '.join(commits)}" if commits else "an earlier commit"
     machines: dict[str, list[float]] = {}
-    for row in rows:
-        of = row.get("computer")
-        name = f"{of['processor']}, {of['cores']} cores" if of else "machine unknown"
-        machines.setdefault(name, []).extend(of["reference_seconds"] if of else ())
+    for of in filter(None, (row.get("computer") for row in rows)):
+        name = f"{of['processor']}, {of['cores']} cores"
+        machines.setdefault(name, []).extend(of["reference_seconds"])
     said = [
         f"{name}, reference training {min(took):.2g} to {max(took):.2g} s" if took else name
         for name, took in machines.items()
     ]
-    return f"commit {' and '.join(commits)} ({'; '.join(said)})"
+    return where + (f" ({'; '.join(said)})" if said else "")
 
 
 def reference() -> float:

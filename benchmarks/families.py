@@ -74,7 +74,7 @@ def _detail(rng: Generator) -> Array:
     return _tones(rng, (0.8, 1.2, 0.3), (1.4, 2.0, 0.15))
 
 
-def wrong_above(edge: float, rng: Generator) -> Record:
+def noise_above(edge: float, rng: Generator) -> Record:
     """The simulator knows a slow random part; above an edge it is noise, and lacks two tones."""
     slow = _noise(rng, 0.15, "low")
     return _measured(slow + _detail(rng), slow + 0.4 * _noise(rng, edge, "high"), rng)
@@ -132,12 +132,12 @@ LABELS = {
 
 
 def above(edge: float) -> str:
-    """Return the name of a family by the frequency in Hz above which its simulator is wrong."""
-    return f"wrong above {edge:g} Hz"
+    """Return the name of a family by the frequency in Hz above which its simulator is noise."""
+    return f"noise above {edge:g} Hz"
 
 
 FAMILIES: dict[str, Callable[[Generator], Record]] = {
-    **{above(edge): partial(wrong_above, edge) for edge in EDGES},
+    **{above(edge): partial(noise_above, edge) for edge in EDGES},
     "leaves its range": leaves_range,
     "drifting sensor": drifting_sensor,
     "crane": crane,

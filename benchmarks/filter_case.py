@@ -8,7 +8,7 @@ are forecast. Each of 30 draws is an independent system: its own plant, its own 
 simulator is wrong above a frequency, *one* frequency, drawn log-uniformly from 0.25 to 2 Hz.
 
 - noise above: the simulator knows the slow part; above the frequency it is noise, and it lacks two
-  tones (`families.wrong_above`). This is the first family.
+  tones (`families.noise_above`). This is the first family.
 - wrong above: a random force moves a resonance at the frequency, which the simulator has at another
   frequency and damping. Wrong in a systematic way, that a network can learn.
 - leaves its range, drifting sensor, crane, van der Pol, as in `benchmarks.families`: the record
@@ -116,7 +116,7 @@ def frequency(rng: Generator) -> float:
 
 def noise_above(rng: Generator) -> sb.Record:
     """Draw a record whose simulator is noise above a drawn frequency."""
-    return families.wrong_above(frequency(rng), rng)
+    return families.noise_above(frequency(rng), rng)
 
 
 def wrong_above(rng: Generator) -> sb.Record:

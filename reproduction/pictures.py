@@ -68,7 +68,7 @@ def components(
     parts: dict[str, Mapping[str, Array]] = {
         name: of_method[0].from_start.components
         if what == "components"
-        else of_method[0].unfiltered
+        else getattr(of_method[0], "unfiltered", {})
         for name, of_method in runs.items()
     }
     rows = [(name, channel) for name in runs if parts[name] for channel in range(record.ny)]

@@ -7,7 +7,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from reproduction.jobs import Job
 from reproduction.settings import Setup
 from splitband.comparison.backtest import BacktestSpec, Fit, backtest, first_origin
 from splitband.comparison.methods import QUICK, named
-from splitband.forecasters.held_out import Origin, beginning
+from splitband.forecasters.held_out import Origin, after, beginning
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
@@ -118,7 +118,14 @@ def load(job: Job, folder: Path) -> dict[str, Any]:
     return facts
 
 
-def as_fit(facts: dict[str, Any], record: Record) -> Fit:
+@dataclass(frozen=True, eq=False)
+class Drawn(Fit):
+    """A loaded run, with the signals before its model's filters, which a figure draws."""
+
+    unfiltered: Mapping[str, Array] = field(default_factory=dict)
+
+
+def as_fit(facts: dict[str, Any], record: Record) -> Drawn:
     """A loaded run with the predictions that its file holds, of its job's record."""
 
     def prediction(values: Array, parts: dict[str, Array]) -> Prediction:
@@ -131,7 +138,7 @@ def as_fit(facts: dict[str, Any], record: Record) -> Fit:
         Origin(train, len(record) - len(said)): prediction(said, parts),
         Origin(train, train): prediction(_array(facts["forecast"]), {}),
     }
-    return Fit(
+    return Drawn(
         facts["job"]["method"],
         facts["job"]["seed"],
         forecasts=forecasts,
@@ -255,8 +262,14 @@ def _results(job: Job, done: Fit, record: Record) -> dict[str, Any]:
         "from_start": [] if varied else _rounded(done.from_start.y),
         "forecast": [] if varied else _rounded(done.ahead),
         "components": _parts(done.from_start.components) if drawn else {},
-        "unfiltered": _parts(done.unfiltered) if drawn else {},
+        "unfiltered": _parts(_unfiltered(done, record)) if drawn else {},
     }
+
+
+def _unfiltered(done: Fit, record: Record) -> dict[str, Array]:
+    """The signals before the filters of a model, for its prediction from the start."""
+    model, origin = done.fitted, next(iter(done.forecasts))
+    return model.unfiltered(**after(record, origin.at)) if isinstance(model, Network) else {}
 
 
 def _identity(job: Job, record: Record, setup: Setup) -> dict[str, Any]:

@@ -87,7 +87,7 @@ class LearningBased:
                 self.window, self.warmup, self.epochs_of(method), normalize=False
             ),
             bands=Bands(in_hz(self.cutoff, sampling_rate), self.order, self.downsampling),
-            sizes=Sizes(self.hidden_high, self.hidden_low),
+            sizes=Sizes(hidden_low=self.hidden_low, hidden_high=self.hidden_high),
         )
 
 
@@ -138,10 +138,10 @@ class Hybrid:
             ),
             bands=Bands(in_hz(self.cutoff, sampling_rate), order=1, downsampling=2),
             sizes=Sizes(
-                self.gru_hidden - self.gru_hidden // 4,
-                self.gru_hidden // 4,
-                self.rnn_state,
-                1 / sampling_rate,
+                hidden_low=self.gru_hidden // 4,
+                hidden_high=self.gru_hidden - self.gru_hidden // 4,
+                state_size=self.rnn_state,
+                step_size=1 / sampling_rate,
             ),
         )
 

@@ -1,6 +1,8 @@
 """Imports point downwards, those inside of functions too; those for type checkers are free."""
 
 import ast
+import re
+from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -55,6 +57,29 @@ def imported(name: str, tree: ast.AST) -> set[str]:
         elif not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
             found |= imported(name, node)
     return found - {name, ""}
+
+
+def texts(node: ast.AST) -> Iterator[str]:
+    """The texts of a program that are no docstrings, with X for what is put into them."""
+    if isinstance(node, ast.JoinedStr):
+        yield "".join(str(getattr(part, "value", "X")) for part in node.values)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+    elif not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
+        for part in ast.iter_child_nodes(node):
+            yield from texts(part)
+
+
+def test_messages_name_an_argument_and_its_option_in_brackets() -> None:
+    """Such as "budget (--budget)": users of Python and of the command read the same."""
+    files = {n: p for n, p in FILES.items() if not n.startswith(("cli", "report.environment"))}
+    bare = [
+        (name, text)
+        for name, path in files.items()
+        for text in texts(ast.parse(path.read_text(encoding="utf-8")))
+        if re.search(r"(?<!\w)--[a-z]", re.sub(r"\([^()]*\)", "", text))
+    ]
+    assert bare == []
 
 
 def test_no_file_needs_a_higher_room_and_no_files_need_each_other() -> None:

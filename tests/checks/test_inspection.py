@@ -121,7 +121,7 @@ def test_an_inspection_says_what_the_record_holds() -> None:
     assert by_name["level [m]"].range.endswith(" m")
     assert found.dead_times == {("valve", "level [m]"): pytest.approx(4.0)}
     assert found.options == {"inputs": ["valve"], "columns": ["level [m]"], "gaps": "mask"}
-    assert "2 with gaps (rows 7 to 8)" in found.in_words()[0]
+    assert "2 masked (rows 7 to 8)" in found.in_words()[0]
     with pytest.warns(ReadingWarning):
         again = sb.read(pd.DataFrame({"time": 0.1 * np.arange(N)} | columns), **found.options)
     np.testing.assert_array_equal(again.u, found.record.u)

@@ -81,7 +81,7 @@ def test_a_model_that_is_exact_is_accepted_for_its_rounding_errors() -> None:
 def test_what_the_inputs_do_not_explain_may_be_a_disturbance_or_a_lack_of_dynamics() -> None:
     test = residuals.tested("slow noise", "AR(0.97)", "right", 1000)
     assert (test.outcome, test.accepted) == ("not rejected", True)
-    assert "Either a disturbance acts or the model lacks dynamics" in test.verdict()
+    assert "Either a disturbance acts or the model lacks dynamics" in test.finding()
     alone = residual_tests(np.sin(np.arange(300.0))[:, None], None, ("y",), ())[0]
     assert alone.outcome == "not rejected"
 
@@ -92,8 +92,8 @@ def test_a_rejection_says_how_large_the_residuals_are() -> None:
     e, y = 0.02 * u + 0.001 * rng.standard_normal(500), u
     (test,) = residual_tests(e[:, None], u[:, None], ("y",), ("u",), y[:, None])
     assert test.size == pytest.approx(0.02 / 1.02, rel=0.01)
-    assert "Rejected at 99 %" in test.verdict()
-    assert "RMS of the residuals is 2 % of the output's standard deviation" in test.verdict()
+    assert "still contain an effect of u, which" in test.finding()
+    assert "Their RMS is 2 % of the output's standard deviation" in test.finding()
 
 
 @pytest.mark.parametrize("kind", ["5 sinusoids", "1 sinusoid", "20 steps"])
@@ -163,7 +163,7 @@ def test_a_spurious_regression_of_a_random_walk_says_that_the_inputs_may_be_unre
         (test,) = residual_tests((y - model)[:, None], u, "y", "uv", model[:, None])
         of_levels += test.p < 0.005
         rejected += not test.accepted
-        assert test.unrelated == ("may be unrelated to y" in test.verdict())
+        assert test.unrelated == ("may be unrelated to y" in test.finding())
     assert rejected <= 2
     assert of_levels > 15
 
@@ -219,7 +219,7 @@ def test_a_good_model_is_accepted_with_its_fits_on_a_record_with_gaps() -> None:
     gaps = sb.Record.with_gaps(y, 0.1, other.u, inputs=("force",))
     found = sb.check(model, gaps)
     assert found.accepted
-    assert [*found.fits] == ["simulation", "1 step ahead", "10 steps ahead"]
+    assert [*found.fits] == ["simulation", "1 sample ahead", "10 samples ahead"]
     (fit,) = found.fits["simulation"]
     simulated = model.predict(350, other[:50], **known_after(other, 50), other_record=True).y
     assert fit == pytest.approx(sb.fit_percent(gaps.y_with_gaps[50:], simulated)[0])

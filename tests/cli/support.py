@@ -33,7 +33,7 @@ FORCE = np.sign(np.sin(TIME))
 
 SIMULATED = 0.8 * np.sin(2 * np.pi * SLOW * TIME + 0.2) + 0.3
 
-QUICK = "--recipe constant-rate --epochs 2 --hidden 4,3 --window 30 --warmup 10"
+QUICK = "--recipe constant-rate --epochs 2 --hidden 3,4 --window 30 --warmup 10"
 
 FUNCTIONS = """
 import time as clock

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
 def test_a_comparison_is_made_for_some_samples_ahead(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = "compare record.csv --columns a,b --methods gru,persistence --hidden 4,3 --rounds 1"
+    asked = "compare record.csv --columns a,b --methods gru,persistence --hidden 3,4 --rounds 1"
     call(f"{asked} --warmup {WARMUP} --ahead 12 --jobs 1", tmp_path / "out")
     said, found = capsys.readouterr().out, results(tmp_path / "out")
     best = found["recommended"]
@@ -25,7 +25,7 @@ def test_a_comparison_is_made_for_some_samples_ahead(
     assert [(column["ahead"], column["channel"]) for column in ahead] == [
         (steps, name) for steps in (1, 12) for name in "ab"
     ]
-    assert f"a, 12 samples ahead: fit {ahead[2]['values'][best]:.1f} % (1 ahead: " in said
+    assert f"a, 12 samples ahead: fit {ahead[2]['values'][best]:.1f} % (1 sample ahead: " in said
     assert "simulation of" in said or "forecast of" in said
     assert "Fits 1, 12 samples ahead are from" in " ".join(said.split())
     assert f"windows of {WARMUP + 12}" in found["methods"]["gru"]["description"]
@@ -35,13 +35,13 @@ def test_a_comparison_is_made_for_some_samples_ahead(
     assert "model.predict(12)" in page
     # The model says so where it is checked.
     call(f"check {tmp_path}/out/model --record record.csv", tmp_path / "checked")
-    assert {"1 step ahead", "12 steps ahead"} < {*results(tmp_path / "checked")["fit"]}
+    assert {"1 sample ahead", "12 samples ahead"} < {*results(tmp_path / "checked")["fit"]}
     call(f"check {tmp_path}/out/model --record record.csv --ahead 3", tmp_path / "checked")
-    assert {"1 step ahead", "3 steps ahead"} < {*results(tmp_path / "checked")["fit"]}
+    assert {"1 sample ahead", "3 samples ahead"} < {*results(tmp_path / "checked")["fit"]}
 
 
 def test_one_method_is_fitted_for_some_samples_ahead(tmp_path: Path) -> None:
-    asked = f"fit record.csv --columns a --method gru --hidden 4,3 --warmup {WARMUP} --ahead 15"
+    asked = f"fit record.csv --columns a --method gru --hidden 3,4 --warmup {WARMUP} --ahead 15"
     call(f"{asked} --rounds 1", tmp_path / "searched")
     call(f"{asked} --epochs 1 --intervals", tmp_path / "given")
     for name in ("searched", "given"):

@@ -47,7 +47,7 @@ def test_a_good_model_is_accepted_in_text_json_and_page(
     (test,) = found["residuals"]
     assert test["inputs"][0]["of"] == "force"
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert f"{found['outcome'].capitalize()}: linear model" in page
+    assert "linear model (linear): the tests find nothing that the model lacks" in page
     assert "Step, force to x (mm): static gain" in page
     assert "--time-column time" in page
 
@@ -83,6 +83,8 @@ def test_several_models_are_drawn_over_one_record_with_their_fits_in_a_table(
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "2 models on second" in page
     assert all(name in page for name in names)
+    assert page.count('aria-pressed="true">') == 3 + 2 + 2  # over time, residuals, bands
+    assert 'aria-pressed="false">' not in page
 
 
 @pytest.mark.usefixtures("drawn")
@@ -105,6 +107,21 @@ def test_several_models_are_compared_the_same_number_of_samples_ahead(
     row = next(line for line in lines if "last value" in line and "│" in line)
     shown = [cell.strip() for cell in row.split("│")[2:-1]]
     assert shown == [tenths(fit) for of in held.values() for fit in of.values()]
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_model_with_a_simulator_says_how_to_give_it(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "plant.py").write_text("def plant(time, u, p):\n    return p.gain * u[:, 0]\n")
+    plant = f"--simulator {tmp_path}/plant.py:plant --parameters gain=0.1:10"
+    call(f"fit {folder}/first.csv --inputs force --method grey-box {plant}", tmp_path / "model")
+    line = f"check {tmp_path}/model --record {folder}/second.csv --out {tmp_path}/out"
+    says = "--simulator must be given for grey-box, which runs one", "--simulator FILE.py:NAME"
+    assert_fails(line, says, capsys)
+    call(f"{line} {plant}")
+    assert results(tmp_path / "out")["fit"]["simulation"]["x (mm)"] > 10
+    call(f"{line} --simulator {tmp_path}/plant.py:plant")
 
 
 def test_models_of_differently_prepared_records_are_not_drawn_over_one(

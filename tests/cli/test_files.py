@@ -99,6 +99,6 @@ def test_a_slow_output_trains_a_network_and_is_scored_at_its_own_samples() -> No
     table = logged(0.0)
     table["x"] = table["x"].where(table.index % 10 == 0)
     table.to_csv("slow.csv", index=False)
-    call("fit slow.csv --inputs u --method gru --hidden 8,4 --epochs 40", Path("model"))
+    call("fit slow.csv --inputs u --method gru --hidden 4,8 --epochs 40", Path("model"))
     call("check model --record slow.csv", Path("checked"))
     assert results(Path("checked"))["fit"]["simulation"]["x"] > 95

@@ -100,7 +100,7 @@ def test_fit_and_simulate_go_around_gaps(
     line = f"fit gappy.csv --gaps mask --columns a,b --method split-gru {QUICK}"
     call(f"{line} --more whole.csv --more ended.csv", tmp_path / "model")
     said = capsys.readouterr().out
-    assert "25 of 200 samples have missing values" in said
+    assert "25 of 200 samples are masked" in said
     assert "rows 0 to 4, 80 to 83, 140 to 149, 160 to 165" in said
     found = results(tmp_path / "model")
     assert found["more"] == ["whole.csv", "ended.csv"]

@@ -13,6 +13,7 @@ import pytest
 import scipy.integrate
 import scipy.signal
 
+import splitband as sb
 from tests.cli.support import DT, FAST, SAMPLES, SIMULATED, SLOW, A, call, results
 from tests.signals import rms
 
@@ -132,14 +133,23 @@ def rig(folder: Path, names: str = "time,valve,level") -> Path:
     return path
 
 
+@pytest.mark.filterwarnings("ignore:DataFrame. put on an even grid")
+@pytest.mark.parametrize("jitter", [0.0, 0.03 * DT])
 def test_the_command_that_inspect_prints_runs_with_these_inputs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    jitter: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Stamps that vary are put on an even grid, which the command then says."""
     path = rig(tmp_path, 'time,"valve, left",level')
     path.write_text(path.read_text() + "60,0.5,\n")
+    table = pd.read_csv(path)
+    table["time"] += jitter * np.sin(np.arange(len(table)))
+    table.to_csv(path, index=False)
     call(f"--json inspect {path}")
     found = json.loads(capsys.readouterr().out)
-    assert (found["inputs"], found["outputs"], found["gaps"]) == (["valve, left"], ["level"], 1)
+    assert (found["inputs"], found["outputs"]) == (["valve, left"], ["level"])
+    assert (f"--step {DT:g}" in found["run"], found["gaps"] > 0) == (jitter > 0, True)
+    step = {"step": DT} if jitter else {}
+    assert sb.inspect(table).options == {"inputs": ["valve, left"], "gaps": "mask", **step}
     command = found["run"].replace("\\\n", " ").removeprefix("splitband ")
     call(f"{command} --methods linear,mean --jobs 1", tmp_path / "out")
     assert results(tmp_path / "out")["recommended"] == "linear"

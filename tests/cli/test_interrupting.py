@@ -21,7 +21,7 @@ from tests.runtime.test_workers import eventually
 
 pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
 
-LINE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --rounds 9 --jobs 1"
+LINE = "compare record.csv --columns a --methods gru,mean --hidden 3,4 --rounds 9 --jobs 1"
 
 
 def assert_stopped(said: str) -> None:

@@ -40,7 +40,7 @@ number = 3
 """
 LAG = "--simulator plant.py:lag --parameters rate=0.1:10,x0_1=0"
 RIG = f"record.csv --inputs u {LAG}"
-QUICK = "--recipe constant-rate --epochs 1 --hidden 4,3 --window 30 --warmup 10 --seeds 1 --jobs 1"
+QUICK = "--recipe constant-rate --epochs 1 --hidden 3,4 --window 30 --warmup 10 --seeds 1 --jobs 1"
 
 
 @pytest.fixture(scope="module")

@@ -8,24 +8,27 @@ import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband.cli.display import in_place
 from splitband.comparison.clock import Clock
 from splitband.comparison.running import RunningComparison
 from splitband.report import results as written
 from splitband.runtime.outputs import FACTS, LOCK
+from splitband.runtime.progress import in_place
 from tests.cli.support import assert_fails, call, files, results, watched
 
 pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
 
-LINE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --jobs 1 "
+LINE = "compare record.csv --columns a --methods gru,mean --hidden 3,4 --jobs 1 "
 
 
+@pytest.mark.usefixtures("drawn")
 def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record, seen = sb.read("record.csv", columns="a"), dict[str, str]()
+    shown = list[str]()
 
     def look(run: RunningComparison) -> None:
+        shown.extend(each.read_text(encoding="utf-8") for each in tmp_path.glob("report.html"))
         if not run.new_table:
             return
         facts, model = results(tmp_path), sb.load(tmp_path / "model")
@@ -40,6 +43,9 @@ def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
     assert "round 1; best so far: " in said
     assert "round 2; best so far: " in said
     assert "unfinished" not in results(tmp_path)
+    assert shown
+    assert all("splitband compare record.csv" in page for page in shown)
+    assert all("SHA-256 of record.csv" in page for page in shown)
 
 
 def test_a_disk_error_in_between_is_a_warning(
@@ -70,7 +76,7 @@ def test_a_training_like_an_earlier_one_has_its_settings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     earlier, out = tmp_path / "earlier", tmp_path / "out"
-    line = "compare record.csv --columns a --inputs force --methods gru --hidden 5,2 --rounds 1"
+    line = "compare record.csv --columns a --inputs force --methods gru --hidden 2,5 --rounds 1"
     call(f"{line} --jobs 1", earlier)
     call(f"compare record.csv --like {earlier} --seeds 1 --jobs 1", out)
     found = results(out)
@@ -178,6 +184,20 @@ def test_a_notebook_whose_cursor_only_moves_on_gets_lines(monkeypatch: pytest.Mo
     assert not in_place()
 
 
+@pytest.mark.parametrize("terminal", [True, False])
+def test_python_shows_where_a_comparison_stands_in_a_terminal_alone(
+    terminal: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: terminal, raising=False)
+    monkeypatch.setenv("TERM", "xterm-color")
+    monkeypatch.delenv("JPY_PARENT_PID", raising=False)
+    record = sb.Record(np.sin(0.3 * np.arange(100)), 0.1)
+    sb.compare(record, 80, [sb.Mean(), sb.Harmonic()])
+    lines = [line.strip() for line in capsys.readouterr().out.split("\r")]
+    assert any("best so far: sinusoids" in line for line in lines) == terminal
+    assert lines[-2:] == (["", ""] if terminal else [""])
+
+
 def test_a_second_is_enough_for_a_result(tmp_path: Path) -> None:
     call(f"{LINE} --budget 1s", tmp_path)
     found = results(tmp_path)
@@ -195,5 +215,5 @@ def test_a_summary_has_a_column_for_each_number_of_samples_ahead(
     call("summary of5 of12 --out all.csv")
     table = pd.read_csv("all.csv")
     for ahead in (5, 12):
-        assert table[f"fit % {ahead} ahead"].notna().tolist() == [ahead == 5, ahead == 12]
-    assert table["fit % 1 ahead"].notna().all()
+        assert table[f"fit % {ahead} samples ahead"].notna().tolist() == [ahead == 5, ahead == 12]
+    assert table["fit % 1 sample ahead"].notna().all()

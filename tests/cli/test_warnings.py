@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import scipy
 
-from splitband.cli import main
+from splitband.cli import main, printing
 from tests.cli.support import call, results
 
 N = 2000
@@ -111,3 +111,16 @@ def test_what_cannot_be_unwrapped_is_refused(
 ) -> None:
     assert main(shlex.split(f"{COMPARE} {option} --out {sea / 'out'}")) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+def test_the_first_warning_is_said_and_the_others_are_counted(
+    verbose: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with printing.saying(False, False, verbose):
+        printing.warn_of(["the first", "another", "a third"], 1)
+    first, *others = capsys.readouterr().out.splitlines()
+    assert first == "warning: the first"
+    assert others == (
+        ["warning: another", "warning: a third"] if verbose else ["2 more warnings: --verbose"]
+    )

@@ -164,7 +164,13 @@ def test_the_median_of_networks_is_judged_ahead_on_test_records_too() -> None:
 def test_the_same_rounds_give_the_same_model() -> None:
     record = Record(wandering()[:400], 1.0)
     one, other = (
-        sb.compare(record, methods=["gru", "mean"], ahead=8, rounds=1, sizes=Sizes(3, 2))
+        sb.compare(
+            record,
+            methods=["gru", "mean"],
+            ahead=8,
+            rounds=1,
+            sizes=Sizes(hidden_low=2, hidden_high=3),
+        )
         for _ in range(2)
     )
     columns = [name for name in one.table.columns if "(s)" not in name]
@@ -201,7 +207,12 @@ def test_a_model_keeps_what_it_was_made_for(tmp_path: Any) -> None:
     assert model.held_out is not None
     assert model.held_out.ahead == AHEAD
     checked = sb.check(model, Record(wandering(9), 1.0))
-    assert [*checked.fits] == ["simulation", "1 step ahead", "2 steps ahead", "20 steps ahead"]
+    assert [*checked.fits] == [
+        "simulation",
+        "1 sample ahead",
+        "2 samples ahead",
+        "20 samples ahead",
+    ]
     assert [*sb.check(model, Record(wandering(9), 1.0), ahead=5).fits][1:] == [
-        *("1 step ahead", "5 steps ahead"),
+        *("1 sample ahead", "5 samples ahead"),
     ]

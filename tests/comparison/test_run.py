@@ -85,7 +85,7 @@ def test_there_is_a_result_whatever_the_deadline(
     assert all("time" in notes[name] for name in {*methods} - {*result.fits})
     assert result.recommended in result.fits
     untrained = not {"gru", "state-space"} & {*result.fits}
-    assert untrained == any("raise --budget" in note for note in result.clock.notes)
+    assert untrained == any("raise budget (--budget)" in note for note in result.clock.notes)
     if refit:
         refitted = len(result.model.require_fitted().record) == len(RECORD)
         assert refitted != any("could not be refitted" in note for note in result.clock.notes)

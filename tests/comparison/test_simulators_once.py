@@ -40,7 +40,12 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
 def test_a_grey_box_with_hybrids_on_it_is_fitted_once_a_span(fits: Counter[int]) -> None:
     ode = sb.Ode(decay, [1.0], parameters={"rate": (0.1, 1.0)})
     hybrids = ["residual-gru", "filtered-gru"]
-    how: dict[str, Any] = {"settings": SHORT, "sizes": Sizes(2, 2), "seeds": 2, "refit": True}
+    how: dict[str, Any] = {
+        "settings": SHORT,
+        "sizes": Sizes(hidden_low=2, hidden_high=2),
+        "seeds": 2,
+        "refit": True,
+    }
     found = sb.compare(RECORD, 160, ["grey-box", *hybrids], simulator=ode, **how)
     assert len(found.fits) == 3
     # Of a trial, of the training part, and of the whole record for the recommended method.

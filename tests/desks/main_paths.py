@@ -17,7 +17,7 @@ from typing import Any
 SAMPLES, AHEAD, TRAIN, STEP = 240, 20, 180, 0.1
 CHANNEL = "φ (°)"  # which the code page of Western Europe cannot hold
 SIMULATOR = "def swing(time):\n    print('a simulator may print')\n    return 0.3 * time\n"
-SHORT = "--recipe constant-rate --epochs 2 --hidden 4,3 --window 30 --warmup 10"
+SHORT = "--recipe constant-rate --epochs 2 --hidden 3,4 --window 30 --warmup 10"
 
 
 def force(n: int) -> float:
@@ -62,7 +62,7 @@ def main_paths() -> None:
 
     candidates.FIRST_STEPS = candidates.FIRST_ROUND = 3  # a round takes a moment
     given, methods = "rig.csv --inputs force", f"--train {TRAIN} --methods"
-    search = "--hidden 4,3 --rounds 1 --seeds 1 --jobs 2"
+    search = "--hidden 3,4 --rounds 1 --seeds 1 --jobs 2"
     splitband(f"compare {given} {methods} gru,linear {search} --out out")
     assert {"gru", "linear"} <= {*results("out")["methods"]}
     assert CHANNEL in Path("out/report.html").read_text(encoding="utf-8")

@@ -115,9 +115,9 @@ def test_what_is_stable_or_not_held_by_its_inputs_is_not_called_unstable(
 def test_an_unstable_model_is_judged_as_far_as_its_forecasts_reach(held: sb.Linear) -> None:
     found = sb.check(held, pendulum(8))
     assert found.outcome != "rejected"
-    assert [*found.fits] == ["1 step ahead", "5 steps ahead", "50 steps ahead"]
-    assert min(found.fits["1 step ahead"]) > 95
-    assert min(found.fits["50 steps ahead"]) > 70
+    assert [*found.fits] == ["1 sample ahead", "5 samples ahead", "50 samples ahead"]
+    assert min(found.fits["1 sample ahead"]) > 95
+    assert min(found.fits["50 samples ahead"]) > 70
     assert "forecasts up to 50 samples ahead" in str(found)
 
 

@@ -129,7 +129,7 @@ def test_an_input_that_moves_once_shows_no_delay() -> None:
     record = Record(y + 0.01 * np.random.default_rng(0).standard_normal(1200), DT, u=u)
     model = sb.Linear().fit(record)
     assert model.delays == (0,)
-    assert "u moves too rarely to show its delay: delay= sets one" in model.describe()
+    assert "u moves too rarely to show its delay: Linear(delay=) sets one" in model.describe()
     given = sb.Linear(delay=40).fit(record)
     assert given.delays == (40,)
     assert "too rarely" not in given.describe()

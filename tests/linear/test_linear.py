@@ -320,7 +320,7 @@ def test_an_unstable_plant_behind_a_controller_is_unstable_and_its_loop_is_not()
     assert whole.poles().real == pytest.approx([0.75], abs=0.02)
     plant, loop = closed_loop(1)
     for model, record in ((direct, plant), (whole, loop)):
-        assert sb.check(model, record[:400]).fits["1 step ahead"][0] > 85
+        assert sb.check(model, record[:400]).fits["1 sample ahead"][0] > 85
     assert sb.check(whole, loop[:400]).fits["simulation"][0] > 85
 
 

@@ -17,6 +17,7 @@ from bokeh.models import HoverTool
 
 import splitband as sb
 from splitband import Record
+from splitband.checks.responses import respond_over_range
 from splitband.comparison.result import Comparison
 from splitband.forecasters.base import titled
 from splitband.report import words
@@ -24,7 +25,7 @@ from splitband.report.page import document, frequency, over_time, pages
 from splitband.report.page.charts import MOST, Axis, Chart, compact
 from splitband.report.page.parts import Usage, looks
 from splitband.report.pictures import rollouts, times_of
-from splitband.report.tables import labels_of
+from splitband.report.tables import labels_of, of_gains
 from splitband.report.words import afterwards
 from tests.report import comparisons
 from tests.report.comparisons import TRAIN
@@ -84,7 +85,7 @@ def test_the_page_says_what_it_must_and_names_are_escaped(
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
     said, best = words_of(tree), everything.recommended
     assert titled(best, labels_of(everything)[best]) in said
-    words = "samples have missing values", "a note", "Error by frequency band"
+    words = "samples are masked", "a note", "Error by frequency band"
     assert all(each in said for each in (*words, "RMSE, later", "splitband compare 'a <b>'"))
 
 
@@ -284,7 +285,7 @@ def test_the_table_has_fits_near_and_far_and_the_interval(driven: Comparison) ->
     page = pages.of_comparison(driven, Usage())
     (table,) = next(section for section in page.sections if section.name == "methods").tables
     *labels, interval = [column.label for column in table.columns]
-    assert labels == ["fit %", "fit % 1 ahead", "fit % 10 ahead", "RMSE"]
+    assert labels == ["fit %", "fit % 1 sample ahead", "fit % 10 samples ahead", "RMSE"]
     assert interval.startswith("inside the 90")
     assert all(column.values[driven.recommended] > 0 for column in table.columns)
 
@@ -295,9 +296,12 @@ def test_an_integrator_has_no_static_gain() -> None:
         400
     )
     record = Record(y, 0.1, u=u, inputs=("speed",))
-    page = pages.of_comparison(comparisons.compared(record, ("linear", "mean"), 300), Usage())
+    found = comparisons.compared(record, ("linear", "mean"), 300)
+    page = pages.of_comparison(found, Usage())
     steps = next(section for section in page.sections if section.name == "responses").plots
     assert steps[0].caption == "Step, speed to y: integrating"
+    (gains,) = of_gains(respond_over_range(found.model))
+    assert [column.entry("speed to y") for column in gains.columns] == ["integrating"]
 
 
 def test_the_answer_has_the_size_of_what_is_not_explained() -> None:

@@ -23,6 +23,7 @@ from splitband.forecasters.held_out import TRAINING_SHARE, beginning
 from splitband.forecasters.simulation import Calibrated
 from splitband.linear.delays import delays_of
 from splitband.records import Record, read, require_records
+from splitband.records.reading import Source
 from splitband.records.signals import (
     Column,
     bare_name,
@@ -32,7 +33,7 @@ from splitband.records.signals import (
     row_ranges,
     unit_of,
 )
-from splitband.records.timing import as_json
+from splitband.records.timing import UnevenError, as_json
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -139,13 +140,15 @@ class Inspection:
     def options(self) -> dict[str, Any]:
         """Return the arguments of `read`, and options of commands, that read the record like this.
 
-        `columns` is there only where columns are left out, `gaps` where values are missing.
+        `columns` is there only where columns are left out, `gaps` where values are missing, `step`
+        where stamps are uneven.
         """
         record, found = self.record, dict[str, Any]()
         if record.nu:
             found["inputs"] = [*dict.fromkeys(map(record.reading.column, record.inputs))]
         if any(column.role in ("constant", "label?") for column in self.columns):
             found["columns"] = [*record.columns]
+        found |= {} if record.reading.grid is None else {"step": record.sampling_time}
         return found if record.measured is None else found | {"gaps": "mask"}
 
     def in_words(self) -> list[str]:
@@ -240,7 +243,7 @@ def inspect(
     (('valve',), ('switches 7 times between 0 and 1', 'is named so'))
     """
     if isinstance(record, pd.DataFrame):
-        record = read(record, inputs=holds_words, gaps="mask")
+        record = as_found(record)
     require_records("record", record)
     columns = inspected_columns(record)
     record = _arranged(record, columns)
@@ -254,6 +257,18 @@ def inspect(
     said += [] if beside is None else beside.warnings()
     peaks = spectrum.peaks()
     return Inspection(record, columns, late, doubtful, peaks, train, bands, above, beside, said)
+
+
+def as_found(source: Source, inputs: Any = None, **how: Any) -> Any:
+    """Read a record to inspect it: missing values are masked, uneven stamps put on an even grid.
+
+    Columns of words are inputs where none are named.
+    """
+    how |= {"inputs": holds_words if inputs is None else inputs, "gaps": "mask"}
+    try:
+        return read(source, **how)
+    except UnevenError:
+        return read(source, **how | {"step": "auto"})
 
 
 def holds_words(column: Column) -> bool:
@@ -377,7 +392,7 @@ def _sampling(record: Record) -> str:
     step = f"{len(record)} samples every {record.sampling_time:.6g} s"
     step += "" if record.start is None else f", {record.grid}"
     uneven = "even" if jitter < 1e-6 * record.sampling_time else f"steps vary by {jitter:.2g} s"
-    gaps = f"{missing.sum()} with gaps ({row_ranges(missing)})" if missing.any() else "no gaps"
+    gaps = f"{missing.sum()} masked ({row_ranges(missing)})" if missing.any() else "no gaps"
     return f"{step}; {uneven}; {gaps}"
 
 

@@ -24,6 +24,7 @@ from splitband.forecasters.held_out import (
     forecasts,
     horizons,
     many_origins,
+    so_far_ahead,
 )
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import (
@@ -56,7 +57,7 @@ class ModelCheck:
     record : The record of the check.
     simulation : The free run from a warm-up on the first samples to the end. Of an unstable model
         the predictions one sample ahead, in its place in `tests`, too.
-    fits : Fit in percent by output, of "simulation", "1 step ahead" and so on.
+    fits : Fit in percent by output, of "simulation", "1 sample ahead" and so on.
     tests : Residual tests by output.
     leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
         training record by far; None for a run in range.
@@ -88,6 +89,15 @@ class ModelCheck:
         """Return whether nothing rejects the model."""
         return self.outcome != "rejected"
 
+    def summary(self) -> str:
+        """Return the result of all tests in a phrase."""
+        found = ["the residuals still contain an effect of the inputs"]
+        if not any(test.dependent for test in self.tests):
+            white = all(test.white for test in self.tests)
+            found = [] if white else ["the residuals are not white noise"]
+        found += [] if self.leaves is None else ["a long free run leaves the range"]
+        return " and ".join(found) or "the tests find nothing that the model lacks"
+
     def in_words(self) -> list[str]:
         """Return the results in sentences, without the fits."""
         sentences = [test.finding() for test in self.tests]
@@ -111,7 +121,9 @@ class ModelCheck:
             for i, column in enumerate(self.record.columns)
             for horizon, of in self.fits.items()
         ]
-        begin = f"{self.title or self.method} on {self.record.name or 'the record'}: {self.outcome}"
+        begin = (
+            f"{self.title or self.method} on {self.record.name or 'the record'}: {self.summary()}"
+        )
         return "\n".join([begin, *fits, *self.in_words()])
 
     def as_json(self) -> dict[str, Any]:
@@ -240,7 +252,7 @@ def _ahead(
         )
     made = forecasts(forecaster, record, origins, other_record=not forecaster.anchored)
     return {
-        f"{k} step{'s' if k > 1 else ''} ahead": tuple(fit_ahead(record, made, k).tolist())
+        so_far_ahead(k): tuple(fit_ahead(record, made, k).tolist())
         for k in (horizons(origins[0].steps) if origins else ())
     }
 

@@ -151,50 +151,46 @@ class ResidualTests:
         """Return whether no test rejects the model."""
         return self.outcome != "rejected"
 
-    def verdict(self) -> str:
-        """Return the result of the tests with its reason, in a sentence or two."""
-        level = f" at {100 * CONFIDENCE:.0f} %" if self.dependent else ""
-        return f"{self.outcome.capitalize()}{level}: {self.finding('the')}"
-
-    def finding(self, the: str = "The") -> str:
-        """Return the finding of the tests in a sentence or two, the first word being `the`."""
+    def finding(self) -> str:
+        """Return the finding of the tests in a sentence or two."""
         if self.dependent:
-            return f"{the} {self._rejection()}"
+            return f"{self._effect()}{self._size()}"
         if self.white:
             independent = "do not depend on the inputs and " if self.inputs else ""
-            return f"{the} residuals of {self.output} {independent}are white noise."
+            return f"The residuals of {self.output} {independent}are white noise."
         if self.unrelated:
             return (
-                f"{the} inputs may be unrelated to {self.output}, which wanders like a random "
+                f"The inputs may be unrelated to {self.output}, which wanders like a random "
                 "walk: they do not help to predict its changes. An effect in the model may be "
                 "chance."
             )
         independent = "do not depend on the inputs, but " if self.inputs else ""
         return (
-            f"{the} residuals of {self.output} {independent}are not white noise. "
+            f"The residuals of {self.output} {independent}are not white noise. "
             "Either a disturbance acts or the model lacks dynamics; this record cannot tell which."
         )
 
-    def _rejection(self) -> str:
-        """Return a sentence with the inputs in the residuals, and the size of the residuals."""
-        *first, last = (f"`{name}`" for name in self.dependent)
-        names, whose = (f"{', '.join(first)} and {last}", "their") if first else (last, "its")
+    def _effect(self) -> str:
+        """Return a sentence with the inputs in the residuals."""
+        *first, last = self.dependent
+        names = f"{', '.join(first)} and {last}" if first else last
         if not self._alone:
-            names += f", if only nonlinearly (all tests together: p = {self.p:.1g})"
-        sentence = (
-            f"residuals of {self.output} still depend on {names}, so the model does not capture "
-            f"{whose} full effect."
-        )
-        if self.size is None:
-            return sentence
-        left = np.format_float_positional(100 * self.size, 2, fractional=False, trim="-")
+            names += f", if only a nonlinear one (all tests together: p = {self.p:.1g})"
         return (
-            f"{sentence} The RMS of the residuals is {left} % of the output's standard deviation."
+            f"The residuals of {self.output} still contain an effect of {names}, which the model "
+            f"does not describe (tested at {100 * CONFIDENCE:.0f} %)."
         )
+
+    def _size(self) -> str:
+        """Return a sentence on the size of the residuals, after a blank; empty if unknown."""
+        if self.size is None:
+            return ""
+        left = np.format_float_positional(100 * self.size, 2, fractional=False, trim="-")
+        return f" Their RMS is {left} % of the output's standard deviation."
 
     def as_json(self) -> dict[str, Any]:
         """Return the tests for a JSON file."""
-        facts = asdict(self) | {"outcome": self.outcome, "verdict": self.verdict()}
+        facts = asdict(self) | {"outcome": self.outcome, "verdict": self.finding()}
         for each in (facts["whiteness"], *facts["inputs"]):
             del each["around"]  # for a plot
         return facts

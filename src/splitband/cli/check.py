@@ -82,6 +82,7 @@ def check(
         printing.console.print(str(each.check))
         for remark in each.responses[0].remarks if each.responses else ():
             printing.warn(remark)
-        for gains in tables.of_gains(each.responses):
+        stable = each.model.require_fitted().report.stable
+        for gains in tables.of_gains(each.responses) if stable else ():
             printing.table(gains)
     printing.results_of(out)

@@ -87,8 +87,7 @@ def _show(result: Comparison, out: Path, used: Usage) -> None:
         say(f"{predicted}: {', '.join(said)}", style="bold")
     if result.model.parameters:
         say(f"parameters: {result.fits[best][0].description}")
-    for message in words.warnings(result):
-        printing.warn(message)
+    printing.warn_of(words.warnings(result), max(len(words.pressing(result)), 1))
     say(f"model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
     # The warnings say why a method has no result.
     printing.table(replace(listed, rows=dict.fromkeys(listed.rows, "")))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -15,12 +13,14 @@ from rich.live import Live
 from rich.text import Text
 
 from splitband.cli import clock, printing
+from splitband.cli.usage import usage
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import Plan
 from splitband.comparison.running import RunningComparison
 from splitband.report import results
 from splitband.report.tables import of_trial
 from splitband.runtime.errors import InputError, missing
+from splitband.runtime.progress import in_place
 from splitband.runtime.system import available_cores
 
 
@@ -80,23 +80,15 @@ class Display:
         try:
             if whole:
                 self._written = True
-                facts = self._facts | {"unfinished": state.doing}
-                results.save(state.comparison(), self._out, facts)
+                found, facts = state.comparison(), self._facts | {"unfinished": state.doing}
+                asked = facts["command"], facts["arguments"], self._out
+                results.save(found, self._out, facts, usage(*asked, state.plan, found.model))
                 if (cores := state.clock.cores) > 1:  # workers trained meanwhile, unlike later
                     state.clock.writing *= cores / (cores + 1)
             else:
                 results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there
             printing.warn(f"{self._out} could not be written: {error}")
-
-
-def in_place() -> bool:
-    """Return whether what was printed can be changed: in a terminal, but not in a notebook.
-
-    A notebook gives its commands (`!splitband`) a pseudo-terminal that only adds lines.
-    """
-    notebook = "JPY_PARENT_PID" in os.environ
-    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb" and not notebook
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from splitband.checks.inspection import Inspection, holds_words
+from splitband.checks.inspection import Inspection, as_found
 from splitband.checks.inspection import inspect as inspected
 from splitband.cli import options, printing, records
 from splitband.cli.usage import command_of, comparing, usage
@@ -42,15 +42,14 @@ def inspect(
 
     The command prints the columns with their ranges, which of them are probably inputs and why,
     dead times, the strongest frequencies, whether there are two bands to split, and warnings; then
-    the command that compares models of the record. Nothing is trained. Missing values are masked.
-    Of several runs (--runs), the longest one is shown.
+    the command that compares models of the record. Nothing is trained. Missing values are masked,
+    samples at uneven times put on an even grid. Of several runs (--runs), the longest one is shown.
 
     With a simulator, it also prints the coherence of simulator and record, and the oracle check:
     the RMSE that a hybrid could reach at each cut-off. The cut-off is the one that `compare`
     chooses with the same --train.
     """
-    reading = replace(reading, gaps="mask")
-    runs = records.load_records(record, reading, inputs_by=holds_words)
+    runs = records.load_records(record, reading, reader=as_found)
     whole = max(runs, key=len)
     if len(runs) > 1:
         shortest, longest = min(map(len, runs)), len(whole)
@@ -65,7 +64,7 @@ def inspect(
     found = inspected(whole, trained, Bands(cutoff, order))
     asked = command_of(context)
     reads = {name: value for name, value in vars(reading).items() if name != "gaps"}
-    named = {name: of if name == "gaps" else listed(of) for name, of in found.options.items()}
+    named = {of: listed(v) if isinstance(v, list) else v for of, v in found.options.items()}
     command = comparing(record, reads | vars(simulator) | named)
     _show(found, command)
     if out is None:

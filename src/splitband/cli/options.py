@@ -142,14 +142,14 @@ def milestones(text: str) -> tuple[tuple[int, float], ...]:
 
 
 def hidden(text: str) -> tuple[int, int]:
-    """Return the two sizes of --hidden."""
+    """Return the two sizes of --hidden, that of the low band first."""
     try:
-        high, low = (whole("hidden", int(part), 1, LARGEST_SIZE) for part in names(text))
+        low, high = (whole("hidden", int(part), 1, LARGEST_SIZE) for part in names(text))
     except ValueError:
         raise InputError(
-            f"--hidden must be HIGH,LOW, two whole numbers from 1 to {LARGEST_SIZE}, got {text}"
+            f"--hidden must be LOW,HIGH, two whole numbers from 1 to {LARGEST_SIZE}, got {text}"
         ) from None
-    return high, low
+    return low, high
 
 
 def _or_auto(kind: type[float] | type[int], what: str) -> Callable[[str], Any]:
@@ -514,9 +514,9 @@ class ModelOptions:
         "Learning rates from these epochs on: 20:1e-4,500:1e-5.", "EPOCH:RATE,..."
     )
     hidden: str | None = _training(
-        "Hidden units of the networks for the high and the low band; a single GRU has their sum.",
-        "HIGH,LOW",
-        "32,16",
+        "Hidden units of the networks for the low and the high band; a single GRU has their sum.",
+        "LOW,HIGH",
+        "16,32",
     )
     budget: Budget = None
     rounds: Rounds = None

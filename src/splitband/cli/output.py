@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from splitband.cli.options import names
 from splitband.forecasters import saving
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import DESCRIPTION, FACTS, MODEL_FOLDER, belongs_to_result, locked
@@ -76,8 +77,9 @@ def _inputs(context: Any) -> dict[Path, str]:
         is_option = parameter.param_type_name == "option"
         said = parameter.opts[0] if is_option else parameter.metavar
         for each in value if isinstance(value, list | tuple) else [value]:
-            if isinstance(each, str | Path) and str(each):
-                found |= dict.fromkeys(_files(str(each)), said)
+            text = str(each) if isinstance(each, str | Path) else ""
+            for file in filter(None, {text, *names(text)}):
+                found |= dict.fromkeys(_files(file), said)
     return found
 
 

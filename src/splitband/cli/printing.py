@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,6 +112,15 @@ def verbose() -> bool:
 def warn(message: str) -> None:
     """Print a warning, on the error stream if standard output is quiet."""
     (_errors if console.quiet else console).print(f"warning: {message}", style="yellow")
+
+
+def warn_of(messages: Sequence[str], first: int) -> None:
+    """Print the first warnings and, with --verbose, the others, else how many there are."""
+    shown = len(messages) if verbose() else first
+    for message in messages[:shown]:
+        warn(message)
+    if others := messages[shown:]:
+        console.print(f"{len(others)} more warning{'s' if len(others) > 1 else ''}: --verbose")
 
 
 def as_json(facts: object) -> None:

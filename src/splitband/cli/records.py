@@ -23,7 +23,7 @@ from splitband.comparison.methods import BASES
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import give_simulator
 from splitband.forecasters.prediction import inputs_after
-from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.simulation import description_of, simulations
 from splitband.records import Record, read
 from splitband.records.alignment import sampled_like
 from splitband.records.columns import ColumnError
@@ -32,6 +32,7 @@ from splitband.records.signals import described, row_ranges, same_names
 from splitband.records.timing import near_sampling
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.simulators import Simulator
 from splitband.simulators.open_simulator import (
     check_runs_as_it_is,
     is_fitted,
@@ -42,11 +43,9 @@ from splitband.simulators.open_simulator import (
 from splitband.simulators.unknown import Unknown
 
 
-def load_record(
-    name: str, reading: RecordOptions, inputs_by: Callable[[Any], bool] | None = None
-) -> Record:
+def load_record(name: str, reading: RecordOptions) -> Record:
     """Return a named record, or read a file with a single run; see `load_records`."""
-    record, *others = load_records(name, reading, inputs_by=inputs_by)
+    record, *others = load_records(name, reading)
     if others:
         raise InputError(f"--runs must be left out here, where one record is asked for, got {name}")
     return record
@@ -56,11 +55,11 @@ def load_records(
     name: str,
     reading: RecordOptions,
     like: Forecaster | None = None,
-    inputs_by: Callable[[Any], bool] | None = None,
+    reader: Callable[..., Any] = read,
 ) -> list[Record]:
     """Return a named record, or read a file, and print channels and inputs of each of its runs.
 
-    `inputs_by` says which columns are inputs where none are named; then nothing is printed.
+    With a `reader` of its own nothing is printed.
 
     Columns and inputs default to those of the model of --like, and the file is read and prepared
     like its training record. Raises ValueError if the record's columns or inputs differ from these.
@@ -76,7 +75,7 @@ def load_records(
         found = [RECORDS[name].make()]
     else:
         columns: Any = None if reading.columns is None else names(reading.columns)
-        inputs: Any = inputs_by if reading.inputs is None else names(reading.inputs)
+        inputs: Any = None if reading.inputs is None else names(reading.inputs)
         if trained is not None and inputs is None:
             inputs = [each for each in trained.inputs if each not in (columns or ())]
         if trained is not None and columns is None:
@@ -85,18 +84,19 @@ def load_records(
         how: dict[str, Any] = {"sampling_time": reading.sampling_time, "runs": reading.runs}
         how |= {"unwrap": periods(reading.unwrap)} if reading.unwrap else {}
         how |= {"join": joined(reading.join or [])}
-        how |= {"clip_outliers": names(reading.clip_outliers or "")}
+        how |= {"clip_outliers": names(reading.clip_outliers or ""), "reader": reader}
         found = _read(name, rule, reading, trained, columns=columns or None, inputs=inputs, **how)
         found = [found[0].detrend(), *found[1:]] if reading.detrend else found
         for record in found:
-            if record.measured is not None and inputs_by is None:
+            if record.measured is not None and reader is read:
                 missing = ~record.complete
                 printing.console.print(
                     f"{_named(name, record, found)}: {missing.sum()} of {len(missing)} samples "
-                    f"have missing values and are masked: {row_ranges(missing)}"
+                    "are masked, as an output is missing, or an input there or just before: "
+                    f"{row_ranges(missing)}"
                 )
     found = [record.like(trained or found[0]) for record in found]
-    for record in found if inputs_by is None else ():
+    for record in found if reader is read else ():
         announce(record, _named(name, record, found))
     record = found[0]
     if trained is not None:
@@ -140,7 +140,12 @@ def _layout(files: FileOptions, model: Record | None = None) -> dict[str, Any]:
 
 
 def _read(
-    path: str | Path, rule: str, files: FileOptions, model: Record | None, **options: Any
+    path: str | Path,
+    rule: str,
+    files: FileOptions,
+    model: Record | None,
+    reader: Callable[..., Any] = read,
+    **options: Any,
 ) -> list[Record]:
     """Read the runs of a file as these options say, and otherwise as a model's record was read.
 
@@ -152,7 +157,7 @@ def _read(
     options["gaps"] = files.gaps
     options |= {} if model is None else {"fallback_sampling_time": _step_of(model)}
     try:
-        found = read(path, **options)
+        found = reader(path, **options)
     except ColumnError as error:
         if model is None:
             raise
@@ -311,15 +316,22 @@ def _how(options: SimulatorOptions, time_column: str | None) -> dict[str, Any]:
     return how | {"columns": names(options.simulator_columns or ""), "time_column": time_column}
 
 
-def elsewhere(file: str, record: Record, reading: RecordOptions) -> Forecaster:
-    """Return the method that predicts with the simulation of a file."""
-    _check_file(file, "--also must be a file")
-    try:
-        opened = open_simulator(file, record, time_column=reading.time_column)
-        simulated(record, opened)  # so that what is wrong is said at once
-    except InputError as error:
-        raise InputError(f"--also: {error}") from None
-    return Simulation(opened, name=file)
+def elsewhere(
+    asked: Sequence[str], record: Record, reading: RecordOptions
+) -> dict[str, list[Simulator]]:
+    """Return the simulations of --also, by the name of their first file."""
+    found = dict[str, list[Simulator]]()
+    for files in (names(text) or [text] for text in asked):
+        if files[0] in found:
+            raise InputError(f"--also must name a file once, got {files[0]} again")
+        for file in files:
+            _check_file(file, "--also must be a file")
+        try:
+            runs = [open_simulator(file, record, time_column=reading.time_column) for file in files]
+        except InputError as error:
+            raise InputError(f"--also: {error}") from None
+        found[files[0]] = runs
+    return found
 
 
 def runnable(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
@@ -354,4 +366,8 @@ def with_simulator(
         with printing.warnings_as_lines():
             give_simulator(model, name, past, steps, **_how(options, files.time_column))
     elif "simulator" in model.needs or model.parameters:
-        raise InputError(f"--simulator must be given for {model.name}, which runs one")
+        said = next(filter(None, map(description_of, simulations(model))), "")
+        raise InputError(
+            f"--simulator must be given for {model.name}, which runs one {said}".rstrip()
+            + ": --simulator FILE.py:NAME, or a file of its output or an FMU"
+        )

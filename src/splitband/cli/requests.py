@@ -55,8 +55,9 @@ class Request:
         list[str] | None,
         options.plain(
             "Add a simulation made elsewhere to the table and the page: a file with the columns of "
-            "the record. It is never recommended. May be repeated.",
-            "FILE",
+            "the record, and one more for each --test, to be scored there, too. It is never "
+            "recommended. May be repeated.",
+            "FILE,FILE",
         ),
     ] = None
 
@@ -129,7 +130,7 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             conditioned=conditioned,
             seeds=asked.seeds,
             refit=asked.refit,
-            also=[records.elsewhere(file, record, reading) for file in asked.also or ()],
+            also=records.elsewhere(asked.also or (), record, reading),
             **_of_model(asked.model),
         )
     )
@@ -174,7 +175,8 @@ def _of_model(asked: options.ModelOptions) -> dict[str, Any]:
     if (rates := given.pop("lr_milestones", None)) is not None:
         given["milestones"] = options.milestones(rates)
     if (sizes := given.pop("hidden", None)) is not None:
-        given["sizes"] = Sizes(*options.hidden(sizes))
+        low, high = options.hidden(sizes)
+        given["sizes"] = Sizes(hidden_low=low, hidden_high=high)
     if "budget" in given:
         given["budget"] = options.seconds(given["budget"])
     settings, bands = (

@@ -144,7 +144,8 @@ def usage(
             export = f"splitband export {quoted(str(out / MODEL_FOLDER))} model.fmu"
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
     if given.get("test") and "simulator" not in model.needs:
-        reading = {name: given.get(name) for name in ("gaps", *_FILES)}
+        beside = _SIMULATOR if model.parameters else []
+        reading = {name: given.get(name) for name in ("gaps", *_FILES, *beside)}
         asked_of = {"model_dirs": [out / MODEL_FOLDER], "record": given["test"][0]}
         checked = checking(reading | asked_of)
         commands.append(("Check it on the test record", checked))

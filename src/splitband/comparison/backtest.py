@@ -25,7 +25,6 @@ from splitband.forecasters.held_out import (
     refitted,
     root_mean_square,
 )
-from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.simulation import simulations
 from splitband.metrics import ExtrapolationWarning, spread
@@ -92,8 +91,6 @@ class Fit:
     forecasts : By origin, in the order of the spec's.
     tests : Simulations of the test records, to their ends; empty where one of them is impossible.
     tests_ahead : Forecasts of each test record from many origins; empty where there are no `tests`.
-    unfiltered : Signals before a model's filters, for the forecast that begins inside the training
-        part; empty for a model without filters, and without such a forecast.
     seconds : Of the whole job, forecasts included.
     began : When the job began, by the clock of `runtime.deadlines.now`; infinite where it did not.
     notes : What the fit has chosen and what went wrong, in words.
@@ -107,7 +104,6 @@ class Fit:
     forecasts: Mapping[Origin, Prediction] = field(default_factory=dict)
     tests: Sequence[Prediction] = ()
     tests_ahead: Sequence[Mapping[Origin, Prediction]] = ()
-    unfiltered: Mapping[str, Array] = field(default_factory=dict)
     seconds: float = 0.0
     began: float = math.inf
     notes: tuple[str, ...] = ()
@@ -185,15 +181,12 @@ def _with_forecasts(
     found: Fit, model: Forecaster, spec: BacktestSpec, origins: Sequence[Origin]
 ) -> Fit:
     """Return a fit with a model's forecasts from more origins; the model of most samples stays."""
-    made, unfiltered = forecasts(model, spec.record, origins), found.unfiltered
+    made = forecasts(model, spec.record, origins)
     if not spec.components:
         made = {origin: replace(said, components={}) for origin, said in made.items()}
-    for origin in origins:
-        if origin.at < origin.fitted and isinstance(model, Network):
-            unfiltered = model.unfiltered(**after(spec.record, origin.at))
     if found.model is not None and _samples(found.model) >= _samples(model):
         model = found.model
-    return replace(found, model=model, forecasts={**found.forecasts, **made}, unfiltered=unfiltered)
+    return replace(found, model=model, forecasts={**found.forecasts, **made})
 
 
 def _samples(model: Forecaster) -> int:

@@ -28,25 +28,24 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.threads import seeded
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Sizes:
     """The sizes of the networks that a name stands for.
 
     Attributes
     ----------
-    hidden_high, hidden_low : Hidden units of the two GRUs, by default the paper's; a single GRU
-        has their sum.
+    hidden_low, hidden_high : Hidden units of the two GRUs; a single GRU has their sum.
     state_size, step_size : Of the `EulerMLP`, the paper's "RNN".
     """
 
-    hidden_high: int = 64
-    hidden_low: int = 32
+    hidden_low: int = 16
+    hidden_high: int = 32
     state_size: int = 4
     step_size: float = 0.1
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        for name in ("hidden_high", "hidden_low", "state_size"):
+        for name in ("hidden_low", "hidden_high", "state_size"):
             object.__setattr__(self, name, whole(name, getattr(self, name), 1, LARGEST_SIZE))
 
 

@@ -29,6 +29,7 @@ from splitband.forecasters.held_out import (
 )
 from splitband.forecasters.initialisation import reach_of
 from splitband.forecasters.network import Network, with_defaults
+from splitband.forecasters.simulation import Simulation
 from splitband.records import Record, check_alike
 from splitband.records.signals import first_after
 from splitband.runtime.arguments import whole
@@ -67,7 +68,7 @@ class Plan:
     simulator : Simulator whose parameters are fitted, for methods without one.
     high : Bands of hybrids with the simulator in the high band.
     without_networks : Whether the default methods lack networks, for want of torch.
-    also : Names of methods that are never recommended.
+    elsewhere : By name of a simulation made elsewhere, the record and the test records with it.
     train, horizon, ahead, others, initial, budget, rounds, seed, seeds, refit : See `compare`;
         decided.
     """
@@ -94,7 +95,12 @@ class Plan:
     refit: bool = False
     high: Bands = field(default_factory=Bands)
     without_networks: bool = False
-    also: frozenset[str] = frozenset()
+    elsewhere: Mapping[str, Sequence[Record]] = field(default_factory=dict)
+
+    @property
+    def also(self) -> frozenset[str]:
+        """Return the names of methods that are never recommended."""
+        return frozenset(self.elsewhere)
 
     @cached_property
     def training(self) -> Record:
@@ -123,7 +129,7 @@ class Plan:
                 "The plant is unstable, and a controller holds it: errors of a free run grow until "
                 "it leaves the record. "
                 + (
-                    f"Judge forecasts instead: --ahead {self.reach}."
+                    f"Judge forecasts instead: ahead={self.reach} (--ahead {self.reach})."
                     if self.ahead is None
                     else f"Methods are judged by forecasts {self.ahead} samples ahead."
                 )
@@ -148,13 +154,14 @@ class Plan:
         origins = [first, Origin(train, train)][: 1 + (self.horizon > 0)]
         if ahead is not None:
             origins += many_origins(train, train, len(self.record), ahead)
-        given = self.record, origins, self.others, self.tests, warmup, self.initial
-        return BacktestSpec(*given, ahead)
+        record, *tests = self.elsewhere.get(forecaster.name, (self.record, *self.tests))
+        return BacktestSpec(record, origins, self.others, tests, warmup, self.initial, ahead)
 
     def held_out_spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
         origins = held_out_origins(forecaster, self.held_out, self.ahead)
-        return BacktestSpec(self.record, origins, self.others, components=False)
+        record, *_ = self.elsewhere.get(forecaster.name, (self.record,))
+        return BacktestSpec(record, origins, self.others, components=False)
 
     def on_baseline(self, base: str) -> Plan:
         """Return the plan with a network on this baseline, which learns what that leaves.
@@ -184,7 +191,8 @@ class Plan:
 def plan(asked: PlanRequest) -> Plan:
     """Plan a comparison, and check everything, before anything is fitted; see `compare`."""
     base, fitted, beside = _roles(asked.simulator, asked.record)
-    sizes = asked.sizes or (Sizes(32, 16) if asked.recipe == "default" else Sizes())
+    of_paper = Sizes(hidden_low=32, hidden_high=64)
+    sizes = asked.sizes or (Sizes() if asked.recipe == "default" else of_paper)
     train, named, default = asked.samples, asked.methods, False
     if named is None:
         with_simulator = asked.simulator is not None or asked.record.y_sim is not None
@@ -226,7 +234,7 @@ def plan(asked: PlanRequest) -> Plan:
     budget = asked.budget
     if budget is None and asked.rounds is None and searched:
         budget = BUDGET
-    every = *listed, *asked.also
+    every = *listed, *(Simulation(name=name) for name in asked.also or ())
     complete = (with_defaults(method, decided, low, given, high) for method in every)
     planned = Plan(
         record,
@@ -251,7 +259,10 @@ def plan(asked: PlanRequest) -> Plan:
         refit=asked.refit,
         high=high,
         without_networks=default and not has_torch(),
-        also=frozenset(method.name for method in asked.also),
+        elsewhere={
+            name: _with_each(name, runs, (record, *asked.tests))
+            for name, runs in (asked.also or {}).items()
+        },
     )
     check(planned)
     _check_ahead(planned)
@@ -309,6 +320,18 @@ def _beside(asked: PlanRequest, simulator: Simulator, longer: bool) -> PlanReque
     record = simulated(asked.record, simulator, longer=longer)
     others, tests = [driven(each) for each in asked.others], [driven(each) for each in asked.tests]
     return replace(asked, record=record, others=others, tests=tests)
+
+
+def _with_each(
+    name: str, runs: Sequence[Simulator], records: Sequence[Record]
+) -> tuple[Record, ...]:
+    """Return records with a simulation made elsewhere in place of any other, where it has a run."""
+    alone = [replace(record, y_sim=None) for record in records]
+    try:
+        having = [simulated(record, run) for record, run in zip(alone, runs, strict=False)]
+    except InputError as error:
+        raise InputError(f"also (--also), {name}: {error}") from None
+    return *having, *alone[len(runs) :]
 
 
 def _settings(

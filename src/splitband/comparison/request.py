@@ -51,7 +51,7 @@ class PlanRequest:
     seeds: int | None = None
     refit: bool = False
     device: str = "cpu"
-    also: Sequence[Forecaster] = ()
+    also: Mapping[str, Sequence[Simulator]] | None = None
 
     def __post_init__(self) -> None:
         require_records("record", self.record)
@@ -74,6 +74,14 @@ class PlanRequest:
                 "budget and rounds exclude each other (the one limits the time, the other the "
                 f"work), got {self.budget} and {self.rounds}"
             )
+        for name, runs in ({} if self.also is None else self.also).items():
+            if not isinstance(runs, Sequence):
+                raise TypeError(f"also must have a list of simulations by name: write [{name}]")
+            if len(runs) not in (1, 1 + len(self.tests)):
+                raise InputError(
+                    "also (--also) must have one simulation, of the record, and may have one more "
+                    f"for each of the {len(self.tests)} test records, got {len(runs)} of {name}"
+                )
         whole("seed", self.seed, 0, LARGEST_SEED)
         for name, number in (("rounds", self.rounds), ("seeds", self.seeds)):
             if number is not None:

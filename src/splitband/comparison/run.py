@@ -20,6 +20,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.records import Record
 from splitband.runtime.deadlines import within
 from splitband.runtime.errors import InputError
+from splitband.runtime.progress import progress_line
 from splitband.simulators import Simulator
 from splitband.simulators.parameters import Adjustable
 from splitband.training import Progress, TrainingSettings
@@ -49,7 +50,7 @@ def compare(  # noqa: PLR0913
     seeds: int | None = None,
     refit: bool = False,
     device: str = "cpu",
-    also: Sequence[Forecaster] = (),
+    also: Mapping[str, Sequence[Simulator]] | None = None,
     cores: int = 1,
     executor: Executor | None = None,
     watch: Watch | None = None,
@@ -101,13 +102,15 @@ def compare(  # noqa: PLR0913
         the number that does best; the other networks are trained once.
     refit : Whether the recommended method is refitted to the whole record at the end.
     device : The device that trains networks: cpu, cuda, cuda:1.
-    also : Methods of the table and the page that are never recommended, such as a simulation made
-        elsewhere: `sb.Simulation(sb.Recorded(y, 0.1), name="mine")`.
+    also : Simulations made elsewhere, by name, as further rows of the table and the page. They are
+        never recommended. Of each there is that of the record and, to be scored there, too, one of
+        each test record: `{"mine": [sb.Recorded(y, 0.1), sb.Recorded(y_of_test, 0.1)]}`.
     cores : Trainings side by side, each in a process with one thread. With several, a script must
         keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
     executor : Runs the trainings in place of processes of this machine: any executor of
         `concurrent.futures`, such as Dask's `Client.get_executor()`. It stays open.
-    watch : Called in this process after each training, with where the comparison stands.
+    watch : Called in this process after each training, with where the comparison stands. By
+        default a terminal or a notebook shows it on a line.
 
     Raises
     ------
@@ -126,7 +129,12 @@ def compare(  # noqa: PLR0913
     """
     given = locals()
     asked = PlanRequest(**{each.name: given[each.name] for each in fields(PlanRequest)})
-    return run(plan(asked), cores=cores, executor=executor, watch=watch)
+    with progress_line("fitting simple models") as show:
+
+        def watched(state: RunningComparison) -> None:
+            show(f"{state.clock.left_in_words()}; {state.in_words()}")
+
+        return run(plan(asked), cores=cores, executor=executor, watch=watch or watched)
 
 
 def run(

@@ -323,7 +323,7 @@ class RunningComparison:
         limit, interrupted = self.clock.limit, self.clock.interrupted
         if limit is None or interrupted or not over or any(state.final for state in networks):
             return
-        said = f"no network was trained in the time: raise --budget ({limit:.0f} s)"
+        said = f"no network was trained in the time: raise budget (--budget), {limit:.0f} s"
         if self._runner.starting:
             said += (
                 ". Worker processes were still loading, or compiling kernels, which is done once "

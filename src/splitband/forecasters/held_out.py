@@ -124,6 +124,11 @@ def many_origins(fitted: int, first: int, end: int, ahead: int) -> list[Origin]:
     return [Origin(fitted, first + int(at), ahead) for at in parts[:-1] + within]
 
 
+def so_far_ahead(samples: int) -> str:
+    """Return a number of samples ahead in words."""
+    return f"{samples} sample{'s' if samples > 1 else ''} ahead"
+
+
 def horizons(ahead: int) -> list[int]:
     """Return the samples ahead for which fits are shown: 1, a tenth of `ahead`, and `ahead`."""
     return sorted({1, max(ahead // 10, 1), ahead})
@@ -256,7 +261,7 @@ def held_out_of(forecaster: Forecaster, ahead: int | None = None) -> HeldOut:
     if fitted.begin or not fitted.whole:
         raise InputError(
             "level must be left out for a model that was saved without held-out errors: request an "
-            "interval before it is saved, or fit it with --intervals"
+            "interval before it is saved, also in the command (--intervals)"
         )
     shorter = forecaster.for_trial(len(record))
     origins = held_out_origins(forecaster, record, ahead or fitted.report.reach)

@@ -231,11 +231,11 @@ class Linear(Forecaster):
             moved = moves([r.u[:, j] for r in records if r.u is not None])
             doubted = self.model.doubted[j]
             if 0 < moved < FEWEST_MOVES:
-                said.append(f"{name} moves too rarely to show its delay: delay= sets one")
+                said.append(f"{name} moves too rarely to show its delay: Linear(delay=) sets one")
             elif doubted > 1:
                 said.append(
                     f"a delay of {doubted} samples of {name} predicts held-out samples no better: "
-                    "none is taken; delay= sets one"
+                    "none is taken; Linear(delay=) sets one"
                 )
         return said
 

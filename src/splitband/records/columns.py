@@ -93,7 +93,7 @@ def pick(
     forgotten = ""
     if inputs is None and usable and (columns is not None or len(usable) > 1):
         what = "taken as outputs" if columns is None else "not used"
-        forgotten = f"{what}: {listed(usable)}; --inputs names those that act on the system"
+        forgotten = f"{what}: {listed(usable)}; inputs (--inputs) names what acts on the system"
     return Picked(stamps, known, measured, left_out, forgotten)
 
 
@@ -150,7 +150,7 @@ def _reason(name: str, column: Column, rows: int) -> str:
     known = column.dropna()
     reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
     if 1 < len(categories_of(column)) < len(known) / 2:
-        reason += "; its words can be an input: --inputs"
+        reason += "; its words can be an input (--inputs)"
     return "" if has_number(column) else reason
 
 

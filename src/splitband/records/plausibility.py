@@ -99,8 +99,8 @@ def _wraps(name: str, x: Array) -> list[str]:
         return []
     at, size = np.append(False, np.abs(np.diff(x)) > 0.5 * period), _number(period)
     said = f"{name!r} jumps by {period:.10g} at {row_ranges(at)}, as an angle or a counter does"
-    option = f"--unwrap {quoted(f'{name}={size}')}"
-    return [f"{said}: unwrap={{{name!r}: {size}}} ({option}) makes it continuous"]
+    option = quoted(f"{name}={size}")
+    return [f"{said}: unwrap={{{name!r}: {size}}} (--unwrap {option}) makes it continuous"]
 
 
 def _outliers(name: str, x: Array, u: Array | None) -> list[str]:
@@ -117,8 +117,8 @@ def _outliers(name: str, x: Array, u: Array | None) -> list[str]:
         return []
     ways = [f"{_missing(*values)} leaves them out"] if few else []
     if u is not None:
-        option = f"--clip-outliers {quoted(name)}"
-        ways.append(f"clip_outliers(columns=[{name!r}]) ({option}) limits them")
+        by = f"clip_outliers(columns=[{name!r}]) (--clip-outliers {quoted(name)})"
+        ways.append(f"{by} limits them")
     said = ", ".join(map(_number, values)) if few else f"{values[0]:.4g} to {values[-1]:.4g}"
     said = f"outliers, {said} in {apart.sum()} of {len(x)} samples ({row_ranges(apart)})"
     usual = f"all others are from {rest[0]:.4g} to {rest[-1]:.4g}"

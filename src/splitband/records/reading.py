@@ -378,7 +378,9 @@ def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Recor
     for what, which, put in ("held", held, even.held), ("interpolated", between, even.between):
         if which := [c for c in which if c in lacking and (spaced is None or c in sparse)]:
             signals |= {c: put(own[c]) for c in which}
-            notes.append(f"inputs {what} between their values: {listed(which)}; --hold decides")
+            notes.append(
+                f"inputs {what} between their values: {listed(which)}; hold (--hold) decides"
+            )
     if spaced is None:
         signals |= {c: even.measured(own[c]) for c in outputs}
     record = Record.with_gaps(

@@ -350,7 +350,7 @@ class Record:
         parts = [
             f"{len(self)} samples every {self.sampling_time:.6g} s",
             described(*self.labels),
-            *([f"{missing} with gaps"] if missing else []),
+            *([f"{missing} masked"] if missing else []),
             *self.reading.sentences,
             *(["a simulator's output"] if self.y_sim is not None else []),
         ]

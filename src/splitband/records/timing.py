@@ -32,6 +32,11 @@ Rows that are lost at random lie like this with a chance of 1 for one row, 0.35 
 _RESOLUTIONS = (60.0, 3600.0, 86400.0)
 """Of stamps that show no seconds, no minutes or no time of the day, in s."""
 
+
+class UnevenError(InputError):
+    """Report time stamps that are not even, and that an even grid (`step`) would mend."""
+
+
 Stamp: TypeAlias = float | pd.Timestamp
 """Seconds on the clock of a record, or a date, with a time zone or without."""
 
@@ -265,10 +270,11 @@ def _check_steps(times: Times, stamps: Array, unit: float, gaps: Gaps) -> None:
     row = int((lost if lost.size else bad)[0]) + 1
     refuse = gaps == "refuse"
     mask = "gaps='mask' (--gaps mask) excludes missing rows; " if refuse else ""
-    raise InputError(
+    usual = f"{mask}{way_out(times.seconds)}"
+    todo = times.todo(usual)
+    raise (UnevenError if todo == usual else InputError)(
         f"{times.what} must be even: expected a step of {median:.6g} s at row {row}, found "
-        f"{steps[row - 1]:.6g} s{in_file(times.column, row) if refuse else ''}; "
-        + times.todo(f"{mask}{way_out(times.seconds)}")
+        f"{steps[row - 1]:.6g} s{in_file(times.column, row) if refuse else ''}; {todo}"
     )
 
 
@@ -293,7 +299,7 @@ def _line(what: str, stamps: Array, unit: float, grain: float) -> tuple[float, f
     first = float(beside.mean())  # where the grid begins, after the first stamp
     wander = np.abs(beside - first)
     if wander.max() > 0.5 * (step + unit):
-        raise InputError(
+        raise UnevenError(
             f"{what} must be even: its stamps wander by {wander.max() / step:.2g} samples from an "
             f"even step of {step:.6g} s, at row {int(wander.argmax())}; {way_out(stamps)}"
         )

@@ -23,6 +23,13 @@ def number(value: float | None) -> str:
     return f"{float(f'{value:.3g}'):,.12g}"
 
 
+def gain_in_words(gain: float) -> str:
+    """Return a static gain: inf of an integrator, NaN of a response that has not settled."""
+    if math.isinf(gain):
+        return "integrating"
+    return "not settled" if math.isnan(gain) else number(gain)
+
+
 def percent(share: float) -> str:
     """Return a share as a percentage."""
     digits = f"{100 * share:.0f}" if abs(share) >= 0.1 else f"{100 * share:.2g}"

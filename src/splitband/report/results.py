@@ -195,13 +195,18 @@ def _check_facts(check: ModelCheck, model: Forecaster, responses: Sequence[Respo
     facts = check.as_json() | {"kind": model.in_words()}
     for response in responses if model.require_fitted().report.stable else ():
         gains = {
-            column: dict(zip(response.inputs, map(float, row), strict=True))
-            for column, row in zip(response.columns, response.y[-1], strict=True)
+            column: dict(zip(response.inputs, map(_or_none, row), strict=True))
+            for column, row in zip(response.columns, response.gains, strict=True)
         }
         facts.setdefault("static_gain", gains)
         at = dict(zip(response.inputs, map(float, response.at), strict=True))
         facts.setdefault("static_gains", []).append({"inputs": at, "gain": gains})
     return facts
+
+
+def _or_none(gain: float) -> float | None:
+    """Return a number for JSON: None of an integrator, and of what has not settled."""
+    return float(gain) if math.isfinite(gain) else None
 
 
 def save_inspection(found: Inspection, facts: Facts, folder: Path, used: Usage) -> None:

@@ -21,12 +21,14 @@ from rich.text import Text
 
 from splitband.comparison.recommendation import COVERAGE, by_reason
 from splitband.forecasters.base import titled
+from splitband.forecasters.held_out import so_far_ahead
 from splitband.metrics import tenths
-from splitband.report.numbers import aligned, decimals, number, percent
+from splitband.report.numbers import aligned, decimals, gain_in_words, number, percent
 from splitband.report.page import template
 
-Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
-"""Unit of a column: percent, the output's unit, its standard deviation, 0 to 1, seconds, none."""
+Unit = Literal["percent", "record", "deviation", "share", "seconds", "count", "gain"]
+"""Unit of a column: percent, the output's unit, its standard deviation, 0 to 1, seconds, none, and
+output over input."""
 OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
 """Units of numbers over all outputs of a comparison."""
 
@@ -70,7 +72,8 @@ class Column:
     def shown(self) -> str:
         """Return the displayed heading, with the unit unless in the channel's name."""
         shown = SHOWN.get(self.heading, self.heading)
-        shown = f"fit % {self.ahead} ahead" if self.ahead else shown
+        if self.ahead:
+            shown = f"fit % {so_far_ahead(self.ahead)}"
         with_unit = self.measure and self.unit == "record" and not self.channel
         return f"{shown} ({self.measure})" if with_unit else shown
 
@@ -95,6 +98,8 @@ class Column:
     def entry(self, row: str) -> str:
         """Return the text of a cell, with the spread over seeds."""
         value = self.values.get(row)
+        if self.unit == "gain" and value is not None and not math.isfinite(value):
+            return gain_in_words(value)
         if value is None or value != value:  # noqa: PLR0124  NaN
             return number(None)
         if self.unit == "share":

@@ -325,7 +325,7 @@ def of_checks(checks: Mapping[str, ModelCheck]) -> Table:
         for i, channel in enumerate(record.columns)
     ]
     rows = {
-        name: " ".join(f"{said.removesuffix('.')}." for said in (each.outcome, *each.in_words()))
+        name: " ".join(f"{said.removesuffix('.')}." for said in each.in_words())
         for name, each in checks.items()
     }
     labels = {name: titled(name, each.title) for name, each in checks.items()}
@@ -345,9 +345,9 @@ def of_gains(responses: Sequence[Responses]) -> list[Table]:
     }
     listed = []
     for response in sorted(responses, key=lambda r: 0.5 if r.share is None else r.share):
-        gains = {name: float(response.y[-1][at]) for name, at in pairs.items()}
-        listed.append(Column(f"at {response.place}", "record", gains, ranked=False))
-    title = f"Responses {first.time[-1]:.4g} s after a step of 1 (the static gain, if settled)"
+        gains = {name: float(response.gains[at]) for name, at in pairs.items()}
+        listed.append(Column(f"at {response.place}", "gain", gains, ranked=False))
+    title = "Static gains: the settled change of the output for a step of 1"
     if len(responses) > 1:
         title += ", with all inputs at these shares of their training ranges"
     return [Table(title, listed, dict.fromkeys(pairs, ""), "step")]

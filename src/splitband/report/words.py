@@ -16,7 +16,7 @@ from splitband.comparison.result import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
-from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
+from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out, so_far_ahead
 from splitband.forecasters.linear import Linear
 from splitband.metrics import Extrapolation
 from splitband.records import Record
@@ -50,55 +50,39 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     the error is the held-out one. With `Plan.ahead`, forecasts from many origins come first; of an
     unstable plant there is nothing else.
     """
-    best = comparison.recommended
-    if comparison.plan.ahead is not None and comparison.steps_of_interval(best):
-        free = _free_headline(comparison) if comparison.plan.reach is None else []
-        return [*_ahead_headline(comparison), *free]
-    return _free_headline(comparison)
+    plan, best, record = comparison.plan, comparison.recommended, comparison.record
+    lines = list[tuple[str, list[str]]]()
 
+    def add(fit: Column, of: str, facts: list[str], own: bool) -> None:
+        """Add a line, with the interval if the fit is that of the record's `own` samples."""
+        held = {c.channel: c.entry(best) for c in columns(comparison, "in interval")}
+        if own and fit.channel in held:
+            share = percent(comparison.require_trial().intervals[best].share)
+            facts = [*facts, f"inside the {share} interval: {held[fit.channel]}"]
+        lines.append((", ".join(filter(None, [fit.channel, of])), facts))
 
-def _ahead_headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
-    """Return the fits of forecasts from many origins; see `headline`."""
-    best, lines = comparison.recommended, list[tuple[str, list[str]]]()
+    judged = plan.ahead is not None and bool(comparison.steps_of_interval(best))
     nearer = columns(comparison, "1 ahead fit %", "N/10 ahead fit %")
-    held = {c.channel: c for c in columns(comparison, "in interval")}
-    share = percent(comparison.require_trial().intervals[best].share)
-    for fit in columns(comparison, "N ahead fit %"):
+    for fit in columns(comparison, "N ahead fit %") if judged else ():
         alike = [c for c in nearer if (c.channel, c.record) == (fit.channel, fit.record)]
-        also = ", ".join(f"{c.ahead} ahead: {c.entry(best)} %" for c in alike)
+        also = ", ".join(f"{so_far_ahead(c.ahead)}: {c.entry(best)} %" for c in alike)
+        of = so_far_ahead(fit.ahead) + (f" in test record {fit.record}" if fit.record else "")
         facts = [f"fit {fit.entry(best)} %" + (f" ({also})" if also else "")]
-        if fit.channel in held and len(lines) < comparison.record.ny:
-            facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
-        of = f"{fit.ahead} sample{'s' if fit.ahead > 1 else ''} ahead"
-        of += f" in test record {fit.record}" if fit.record else ""
-        lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
-    return lines
-
-
-def _free_headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
-    """Return the fits of free runs, or else the held-out error; see `headline`."""
-    best = comparison.recommended
+        add(fit, of, facts, len(lines) < record.ny)
+    if judged and plan.reach is not None:
+        return lines
     if not (comparison.tests or comparison.predictions):
-        return [
-            (
-                c.channel or comparison.record.columns[0],
-                [f"held-out RMSE {c.entry(best)} {c.measure}".rstrip()],
-            )
-            for c in columns(comparison, "held-out RMSE")
-        ]
+        for error in columns(comparison, "held-out RMSE"):
+            facts = [f"held-out RMSE {error.entry(best)} {error.measure}".rstrip()]
+            lines.append((error.channel or record.columns[0], facts))
+        return lines
     side = "test" if comparison.medians[best].tests else "forecast"
     fits, errors = (columns(comparison, f"{side} {what}") for what in ("fit %", "RMSE"))
-    held = {c.channel: c for c in columns(comparison, "in interval")}
-    ahead, run = len(comparison.record) - comparison.plan.train, run_of(comparison.record)
-    lines = []
+    run = f"{run_of(record)} of {len(record) - plan.train:,} samples"
     for fit, error in zip(fits, errors, strict=True):
-        of = f"test record {fit.record}" if fit.record else f"{run} of {ahead:,} samples"
-        unit = f" {error.measure}" if error.measure else ""
-        facts = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
-        if fit.channel in held and side == "forecast" and comparison.plan.ahead is None:
-            share = percent(comparison.require_trial().intervals[best].share)
-            facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
-        lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
+        of = f"test record {fit.record}" if fit.record else run
+        facts = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)} {error.measure}".rstrip()]
+        add(fit, of, facts, side == "forecast" and plan.ahead is None)
     return lines
 
 
@@ -177,7 +161,7 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
     if comparison.medians[comparison.recommended].tests:
         where = f"test record {comparison.tests[0].name or 1}{_one_ahead(comparison)}"
     tests = comparison.residual_tests
-    return {f"{test.verdict()} (Tested on {where}.)": test for test in tests}
+    return {f"{test.finding()} (Tested on {where}.)": test for test in tests}
 
 
 def answer(comparison: Comparison) -> list[str]:
@@ -217,7 +201,12 @@ def warnings(comparison: Comparison) -> list[str]:
     """Return warnings about the numbers, the gravest first."""
     verdicts_of = verdicts(comparison).items()
     doubtful = [said for said, test in verdicts_of if test.unrelated or not test.accepted]
-    return [*gravest(comparison), *doubtful, *further(comparison)]
+    return [*dict.fromkeys((*pressing(comparison), *doubtful, *further(comparison)))]
+
+
+def pressing(comparison: Comparison) -> list[str]:
+    """Return the warnings that are always said: the gravest, and why methods have no numbers."""
+    return [*gravest(comparison), *_missing(comparison), *_untested(comparison)]
 
 
 def gravest(comparison: Comparison) -> list[str]:
@@ -227,13 +216,13 @@ def gravest(comparison: Comparison) -> list[str]:
         *_unstable(comparison),
         *_seen(comparison),
         *_worse_than_mean(comparison),
+        *_useless_term(comparison),
     ]
 
 
 def further(comparison: Comparison) -> list[str]:
     """Return the other warnings, without those of residual tests."""
     return [
-        *_useless_term(comparison),
         *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
@@ -241,7 +230,8 @@ def further(comparison: Comparison) -> list[str]:
         *_few_held_out(comparison.plan.train),
         *of_inputs(comparison.inputs_beyond_training, comparison.record),
         *_notes(comparison),
-        *_left_out(comparison),
+        *_untested(comparison),
+        *_useless_simulator(comparison),
     ]
 
 
@@ -290,7 +280,7 @@ def _useless_term(comparison: Comparison) -> list[str]:
     if np.isclose(found, alone, rtol=1e-6):
         return [
             "The unknown terms are left out of the model: they did not help on held-out samples, "
-            "or the time was over before they were trained; then --budget must be longer."
+            "or the time was over before they were trained; then budget (--budget) must be longer."
         ]
     if found * (1 + WORTH_TRAINING) < alone or best >= found:
         return []
@@ -395,21 +385,26 @@ def _notes(comparison: Comparison) -> list[str]:
     ]
 
 
-def _left_out(comparison: Comparison) -> list[str]:
-    """Return sentences on untested methods, and on hybrids left out for a useless simulator."""
-    plan, sentences = comparison.plan, list[str]()
-    if comparison.left_out:
-        sentences.append(
-            f"Not tested: {', '.join(comparison.left_out)}. Such methods continue the training "
-            "record, or need a simulator of the test record (--test-simulator)."
-        )
-    choice = plan.bands.choice
-    if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
-        sentences.append(
-            "The simulator helps at no cut-off frequency, so hybrid models were left out. Name "
-            "them with --methods to compare them all the same."
-        )
-    return sentences
+def _untested(comparison: Comparison) -> list[str]:
+    """Return a sentence on methods that cannot simulate the test records."""
+    if not comparison.left_out:
+        return []
+    return [
+        f"Not tested: {', '.join(comparison.left_out)}. Such methods continue the training record, "
+        "or need a simulation of the test record: its y_sim (--test-simulator), or one more in "
+        "also (--also)."
+    ]
+
+
+def _useless_simulator(comparison: Comparison) -> list[str]:
+    """Return a sentence on hybrids left out for a useless simulator."""
+    plan, choice = comparison.plan, comparison.plan.bands.choice
+    if not choice or choice.simulator_helps is not False or set(plan.names) & set(HYBRIDS):
+        return []
+    return [
+        "The simulator helps at no cut-off frequency, so hybrid models were left out. To compare "
+        "them all the same, methods (--methods) must name them."
+    ]
 
 
 def of_bands(bands: Bands, training: Record) -> str:
@@ -438,8 +433,8 @@ def of_gaps(record: Record) -> list[str]:
     """Return sentences on samples that are not as they were logged, or missing, if any."""
     missing, said = int((~record.complete).sum()), record.reading.sentences
     gaps = (
-        f"{missing:,} of {len(record):,} samples have missing values. Curves have gaps there, and "
-        "errors exclude them."
+        f"{missing:,} of {len(record):,} samples are masked, as an output is missing, or an input "
+        "there or just before. Curves have gaps there, and errors exclude them."
     )
     read = f"The record was read with {'; '.join(said)}."
     return [*([read] if said else []), *([gaps] if missing else [])]

@@ -212,8 +212,8 @@ def adjustable_from(  # noqa: PLR0913
 def _not_an_equation(name: str) -> InputError:
     """Return the error for held inputs of a function."""
     return InputError(
-        "simulator must be a differential equation or an .fmu for --simulator-hold zoh, "
-        f"also of a saved model, got {name}, which is given the samples of the inputs alone"
+        "simulator must be a differential equation or an .fmu for hold='zoh' (--simulator-hold "
+        f"zoh), also of a saved model, got {name}, which is given the samples of the inputs alone"
     )
 
 

@@ -33,6 +33,7 @@ from bokeh.plotting import figure
 from splitband.records import Record
 from splitband.records.timing import stamps_at
 from splitband.report.numbers import in_one_offset
+from splitband.report.page.parts import Key
 from splitband.runtime.arrays import Array
 
 WIDTH, TALL, LOW, SMALL = 800, 270, 190, 125
@@ -53,11 +54,13 @@ DATES: dict[str, Any] = {
     "milliseconds": "%H:%M:%S.%3N",
     **dict.fromkeys(("seconds", "minsec"), "%H:%M:%S"),
     **dict.fromkeys(("minutes", "hourmin"), "%H:%M"),
-    "hours": "%d %b %H:%M",
+    "hours": "%H:%M",
     "days": "%d %b",
     "months": "%b %Y",
     "years": "%Y",
 }
+BELOW: dict[str, Any] = dict.fromkeys([*DATES][:-3], "%d %b") | {"days": "%Y"}
+"""What stands below the first time of the day, or day of the year, on an axis."""
 MIN_EXPONENT = 4
 """Least exponent of a number that is written as a power of ten. Layout."""
 MANY = 200
@@ -66,17 +69,6 @@ MOST_DECIMALS = 12
 """Largest number of decimals in a tooltip. Layout."""
 
 Drawn = npt.NDArray[np.float32] | Array
-
-
-@dataclass(frozen=True)
-class Key:
-    """An entry of a legend; that of a curve shows and hides it."""
-
-    name: str
-    color: str  # the name of the colour in the style
-    dash: tuple[int, ...] = ()
-    shaded: bool = False  # whether it is an area
-    hidden: bool = False  # at first
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +217,12 @@ class Chart:
         if log:
             shown.yaxis.ticker = _decades(limits)
         elif height <= SMALL:
-            shown.yaxis.ticker = BasicTicker(desired_num_ticks=3)
+            shown.yaxis.ticker = BasicTicker(desired_num_ticks=4)
         if axis.dates:
-            shown.xaxis.formatter = DatetimeTickFormatter(**DATES)
+            below, shown.xaxis.axis_label = DatetimeTickFormatter(**BELOW), None
+            shown.xaxis.formatter = DatetimeTickFormatter(
+                **DATES, context=below, context_which="start"
+            )
 
     @property
     def legend(self) -> list[Key]:

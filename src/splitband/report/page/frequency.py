@@ -81,8 +81,8 @@ def errors_by_band(run: Run, looks: Mapping[str, Look], cutoff: float | None) ->
         chart = Chart(axis, "error / record (%)", scale, caption, TALL, log=True)
         chart.mark(100.0, "zero", "width")
         for name in reversed([*ratios]):
-            key = Key(looks[name].label, looks[name].color, looks[name].dash)
-            chart.line(100 * ratios[name], key, line_width=2.0 if looks[name].number else 3.0)
+            wide = 2.0 if looks[name].number else 3.0
+            chart.line(100 * ratios[name], looks[name].key(), line_width=wide)
         power = Chart(
             axis, "power (%)", (0.0, 110 * float(share.max())), f"{column}: power by band", SMALL
         )

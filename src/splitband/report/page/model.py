@@ -13,7 +13,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.linear import Linear
 from splitband.linear.uncertainty import NORMAL
-from splitband.report.numbers import number
+from splitband.report.numbers import gain_in_words, number
 from splitband.report.page.charts import LOW, SMALL, Axis, Chart, Key, limits
 from splitband.report.page.parts import DASHES
 from splitband.runtime.arrays import Array
@@ -57,7 +57,9 @@ def responses(model: Forecaster, every: Sequence[Responses], bode: bool) -> list
     plots = []
     for (i, u), (j, y) in product(enumerate(first.inputs), enumerate(first.columns)):
         of, pair = [gain[:, j, i] for gain in gains], f"{u} to {y}"
-        caption = f"Step, {pair}" + (f": {_in_words(first.gains[j, i])}" if stable else "")
+        gain = float(first.gains[j, i])
+        said = f": {'static gain ' * bool(np.isfinite(gain))}{gain_in_words(gain)}"
+        caption = f"Step, {pair}" + said * stable
         plots.append(_curves(time, "change", caption, keys, [r.y[:, j, i] for r in every]))
         if bode:
             sizes = [_decibels(np.abs(gain)) for gain in of]
@@ -67,12 +69,6 @@ def responses(model: Forecaster, every: Sequence[Responses], bode: bool) -> list
             phases = [np.degrees(np.unwrap(np.angle(gain))) for gain in of]
             plots.append(_curves(over, "phase (degrees)", f"Phase, {pair}", keys, phases))
     return plots
-
-
-def _in_words(gain: float) -> str:
-    if np.isinf(gain):
-        return "integrating"
-    return "not settled" if np.isnan(gain) else f"static gain {number(gain)}"
 
 
 def _add_interval(

@@ -41,6 +41,7 @@ class Run:
     half : Half-widths of the interval of the first method, `(time, ny)`, NaN where there is none.
     level : Of this interval, 0 to 1.
     parts : First and last sample of each part of the record.
+    alike : Whether no method is recommended: all are seen at first, with their residuals.
     """
 
     record: Record
@@ -50,6 +51,7 @@ class Run:
     half: Array | None = None
     level: float = 0.0
     parts: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    alike: bool = False
 
 
 def runs_of(found: Comparison, names: Collection[str]) -> list[Run]:
@@ -136,26 +138,30 @@ def _output(run: Run, looks: Mapping[str, Look], axis: Axis, i: int) -> list[Cha
         ends = {"left": float(axis.values[first]), "right": float(axis.values[last])}
         chart.shade(Key(part, PARTS[part], shaded=True), **ends)
     for name in reversed(others):
-        key = Key(looks[name].label, looks[name].color, looks[name].dash, hidden=True)
-        chart.line(run.curves[name][:, i], key)
-    chart.line(predicted, Key(look.label, look.color), line_width=4.0, line_alpha=0.8)
+        chart.line(run.curves[name][:, i], looks[name].key(hidden=not run.alike))
+    chart.line(predicted, look.key(), line_width=4.0, line_alpha=0.8)
     chart.line(measured, Key(MEASURED, MEASURED), line_width=0.9)
-    return [chart, _residuals(run, look, axis, i)]
+    shown = {name: looks[name] for name in run.curves if run.alike or name == best}
+    return [chart, _residuals(run, shown, axis, i)]
 
 
-def _residuals(run: Run, look: Look, axis: Axis, i: int) -> Chart:
-    """Return the plot of what the recommended method leaves of an output, with its interval."""
-    left = run.record.y_with_gaps[:, i] - run.curves[look.name][:, i]
-    half = np.full(len(left), np.nan) if run.half is None else run.half[:, i]
-    low, high = limits([left[run.scored :], half, -half])
-    reach = DIVERGED * float(np.ptp(limits([run.record.y_with_gaps[:, i]])))
-    unit, caption = run.record.units[i], f"Measured minus predicted, {look.label}"
+def _residuals(run: Run, shown: Mapping[str, Look], axis: Axis, i: int) -> Chart:
+    """Return the plot of what methods leave of an output, with the interval of a single one."""
+    measured, (look, *others) = run.record.y_with_gaps[:, i], shown.values()
+    left = {name: measured - run.curves[name][:, i] for name in shown}
+    half = np.full(len(measured), np.nan) if run.half is None else run.half[:, i]
+    low, high = limits([*(of[run.scored :] for of in left.values()), half, -half])
+    reach = DIVERGED * float(np.ptp(limits([measured])))
+    unit, caption = run.record.units[i], "Measured minus predicted"
+    caption += "" if others else f", {look.label}"
     caption += "" if run.half is None else f"; shaded: {percent(run.level)} interval"
     label = f"residual ({unit})" if unit else "residual"
     chart = Chart(axis, label, (max(low, -reach), min(high, reach)), caption, SMALL)
     if run.half is not None:
         chart.band(-half, half, Key("interval", look.color, shaded=True))
-    chart.line(left, Key("residual", MEASURED), line_width=0.9)
+    for name in reversed(shown):
+        key = shown[name].key() if others else Key("residual", MEASURED)
+        chart.line(left[name], key, line_width=0.9)
     return chart
 
 

@@ -257,7 +257,7 @@ def of_check(
         (column, "\n".join(f"fit {tenths(of[i])} %, {far}" for far, of in result.fits.items()))
         for i, column in enumerate(record.columns)
     ]
-    answer = f"{result.outcome.capitalize()}: {result.title or name}"
+    answer = f"{result.title or name}: {result.summary()}"
     plots = over_time.over_time(run, drawn)
     sections = [
         Section("answer", answer, result.in_words(), plots, facts=facts),
@@ -276,11 +276,12 @@ def of_checks(checks: Mapping[str, ModelCheck], used: Usage) -> Page:
     record = next(iter(checks.values())).record
     drawn = looks({name: titled(name, check.title) for name, check in checks.items()})
     simulated = {name: _placed(checks[name].simulation.y, record) for name in drawn}
-    run = Run(record, "simulation", simulated)
+    run = Run(record, "simulation", simulated, alike=True)
     title = f"{len(checks)} models on {record.name or 'a record'}"
-    plots, listed = over_time.over_time(run, drawn), [tables.of_checks(checks)]
+    plots, table = over_time.over_time(run, drawn), tables.of_checks(checks)
+    listed = [replace(table, rows=dict.fromkeys(table.rows, ""))]
     sections = [
-        Section("answer", title, plots=plots, tables=listed),
+        Section("answer", "Simulations", plots=plots, tables=listed, items=table.remarks()),
         *_by_band(run, drawn, None),
         *_made(used),
     ]

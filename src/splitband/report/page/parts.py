@@ -33,6 +33,17 @@ class Section:
 
 
 @dataclass(frozen=True)
+class Key:
+    """An entry of a legend; that of a curve shows and hides it."""
+
+    name: str
+    color: str  # the name of the colour in the style
+    dash: tuple[int, ...] = ()
+    shaded: bool = False  # whether it is an area
+    hidden: bool = False  # at first
+
+
+@dataclass(frozen=True)
 class Look:
     """The look of a method's curves, equal in all plots."""
 
@@ -49,6 +60,10 @@ class Look:
     def dash(self) -> tuple[int, ...]:
         """Return the lengths of dashes and gaps."""
         return DASHES[self.number % len(DASHES)]
+
+    def key(self, hidden: bool = False) -> Key:
+        """Return the entry of a legend, possibly `hidden` at first."""
+        return Key(self.label, self.color, self.dash, hidden=hidden)
 
 
 def looks(
