@@ -127,7 +127,8 @@ class RunningComparison:
         attempts = () if self._search is None else tuple(self._search.attempts)
         found = Comparison(self.plan, self.fits(), None, attempts, self.clock)
         given = self.plan.training, self.trials, found.fits, self.failed
-        return replace(found, trial=judged(*given, self.plan.also.union(found.left_out)))
+        left_out = self.plan.also.union(found.left_out)
+        return replace(found, trial=judged(*given, left_out, self.plan.simulated))
 
     def result(self) -> Comparison:
         """Return the comparison at the end, with the refit if one is asked for."""
@@ -338,7 +339,7 @@ class RunningComparison:
         models of an unstable plant are not judged.
         """
         plan = self.plan
-        if plan.ahead is not None or plan.reach is not None:
+        if not plan.simulated:
             return self.finals
         return {
             name: without_failed(plan.training, fits)
