@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 from splitband.comparison import estimates
 from splitband.comparison.backtest import BacktestSpec, Fit
 from splitband.comparison.clock import Clock
-from splitband.comparison.jobs import GRACE, Bases, Job, Runner, held_out_job, late
+from splitband.comparison.jobs import (
+    GRACE,
+    Bases,
+    Job,
+    Runner,
+    held_out_job,
+    late,
+    run_until,
+)
 from splitband.comparison.method_state import MethodState, reason_of
 from splitband.comparison.methods import BASES
 from splitband.comparison.plan import Plan
@@ -89,6 +97,11 @@ class RunningComparison:
         return [state.job for state in self.states.values() if state.job is not None]
 
     @property
+    def _brief(self) -> bool:
+        """Return whether the time is over before workers begin, which takes as long as it did here."""
+        return self._runner.executor is not None and self.clock.left < self.clock.parts["start"]
+
+    @property
     def trial(self) -> Trial:
         """Return the results on held-out samples so far."""
         if self._trial is None:
@@ -161,10 +174,13 @@ class RunningComparison:
         prepared = [f for f in self._ready if f.random or f.fits_simulator]
         self._try([f for f in quick if f not in [*at_once, *prepared]])
         # Workers load torch while the first table is shown and written.
-        self._runner.start([f for f in self._ready if f.random])
+        if not self._brief:
+            self._runner.start([f for f in self._ready if f.random])
         self._try(at_once)
         if len(at_once) < len(self._ready):
             self._report("baselines", new_table=True)
+        if self._runner.executor is None:
+            self._await_quick()
         until = self._half()
         for forecaster in prepared:
             spec = self.plan.held_out_spec(forecaster)
@@ -187,8 +203,14 @@ class RunningComparison:
                 self._take(job, job.run())
             return
         job = replace(self._bases.given_to(job), limit=self._limit(job.forecaster))
+        # One with a limit of its own may begin late, as its process does.
+        until = self._half() if job.forecaster.fits_simulator else self.clock.deadline
+        if self._brief:
+            with one_thread():
+                self._take(job, run_until(until, job))
+            return
         self.states[job.method].job = job
-        self._runner.begin([job], self._half(), first=True)
+        self._runner.begin([job], until, first=True)
 
     def _take(self, job: Job, fit: Fit) -> None:
         """Take a fit of a method without networks; after the trial, the final fit begins."""
@@ -239,7 +261,7 @@ class RunningComparison:
     def _run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
         networks = [f for f in self._ready if f.random]
-        if self.trials and self.clock.deadline.over:
+        if self.trials and (self.clock.deadline.over or self._brief):
             self._fail(late(network.name) for network in networks)
             return
         if not networks:
