@@ -84,7 +84,7 @@ class Clock:
 
     @property
     def allows_pages(self) -> bool:
-        """Return whether writing the result before the end takes little of the time that is left."""
+        """Return whether writing the result meanwhile takes little of the time that is left."""
         return self.writing < PAGE_SHARE * self.left
 
     def enter(self, part: str) -> str:

@@ -98,7 +98,7 @@ class RunningComparison:
 
     @property
     def _brief(self) -> bool:
-        """Return whether the time is over before workers begin, which takes as long as it did here."""
+        """Return whether time is over before workers begin, which takes them as long as this one."""
         return self._runner.executor is not None and self.clock.left < self.clock.parts["start"]
 
     @property
