@@ -98,7 +98,7 @@ class RunningComparison:
 
     @property
     def _brief(self) -> bool:
-        """Return whether time is over before workers begin, which takes them as long as this one."""
+        """Return whether time is over before workers begin; they take as long as this process."""
         return self._runner.executor is not None and self.clock.left < self.clock.parts["start"]
 
     @property
