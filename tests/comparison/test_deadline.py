@@ -78,6 +78,23 @@ class Identified(Baseline):
             pass
 
 
+class Trained(Baseline):
+    """Its simulator has an unknown term, whose training took 400 s."""
+
+    name, fits_simulator = "trained", True
+
+    def learn(self, records: object, **_: object) -> None:
+        self.fitted = self.require_fitted().reporting(seconds=400.0)
+
+
+@pytest.mark.parametrize(("limit", "whole"), [(500.0, False), (1000.0, True)])
+def test_a_simulator_keeps_what_it_had_time_for(limit: float, whole: bool) -> None:
+    planned = plan(PlanRequest(RECORD, TRAIN, [Trained(), "mean"], budget=1e6))
+    result = run(planned, clock=Clock(limit, now()))
+    assert (len(result.fits["trained"][0].fitted.require_fitted().record) == TRAIN) == whole
+    assert bool(result.clock.notes) != whole
+
+
 def test_what_is_quick_is_fitted_before_a_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = slowed(monkeypatch, 1.0)
     planned = plan(PlanRequest(RECORD, TRAIN, [Identified(), Patient(), "mean"], budget=1e6))

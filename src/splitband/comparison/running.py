@@ -223,7 +223,8 @@ class RunningComparison:
         else:
             state.trial, self._trial = [fit], None
             job = Job(method, self.plan.spec(method))
-            if method.at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
+            took = max(fit.seconds, fit.report.seconds)  # a simulator was fitted before its job
+            if method.at_once or took < (1 - HELD_OUT_SHARE) * self._half().left:
                 self._bases.fit(method, [self.plan.training, *self.plan.others], self._half())
             else:
                 job = replace(job, start=fit.model, trains=False)
