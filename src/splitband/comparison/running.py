@@ -61,6 +61,8 @@ class RunningComparison:
         self._search: Search | None = None
         self._bases = Bases(runner)
         clock.enter("simulators")
+        # Whether time is over before workers begin; they take as long as this process.
+        self._brief = runner.executor is not None and clock.left < clock.parts["start"]
         ran: dict[Any, Any] = {}
         for state in self.states.values():
             self._simulate(state, ran)
@@ -95,11 +97,6 @@ class RunningComparison:
     def _quick(self) -> list[Job]:
         """Return the jobs of methods without networks that have not ended."""
         return [state.job for state in self.states.values() if state.job is not None]
-
-    @property
-    def _brief(self) -> bool:
-        """Return whether time is over before workers begin; they take as long as this process."""
-        return self._runner.executor is not None and self.clock.left < self.clock.parts["start"]
 
     @property
     def trial(self) -> Trial:
