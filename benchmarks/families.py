@@ -163,7 +163,7 @@ def floors(record: Record, settings: Row) -> dict[str, float]:
 
 
 def measured(row: Row, folder: Path) -> Row:
-    """Run the command, and return the row with the error of each method, regret and floors."""
+    """Run the command, and return the row: errors of the methods, also held out, regret, floors."""
     record = FAMILIES[row["family"]](np.random.default_rng(row["draw"]))
     words = written(record, folder / "record.csv")
     assert record.y_sim is not None
@@ -173,10 +173,11 @@ def measured(row: Row, folder: Path) -> Row:
     found = json.loads((folder / "out" / "results.json").read_text(encoding="utf-8"))
     every = {name: of for name, of in found["methods"].items() if "failed" not in of}
     errors = {name: of["median_of_seeds"]["forecast_rmse"] for name, of in every.items()}
+    held_out = {name: of["held_out_rmse"] for name, of in every.items()}
     regret = errors[row["recommended"]] / min(errors.values())
     cutoffs = {band: of["cutoff"] for band, of in bands_of(found["settings"]).items()}
     about = {"cutoffs": cutoffs, "floors": floors(record, found["settings"])}
-    return row | {"errors": errors, "regret": regret} | about
+    return row | {"errors": errors, "held_out": held_out, "regret": regret} | about
 
 
 def kind_of(method: str) -> str:

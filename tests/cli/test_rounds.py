@@ -1,6 +1,7 @@
 """A comparison round by round: the same work for a seed, results while it runs, what is gone."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -173,6 +174,9 @@ def test_the_time_left_is_that_to_the_deadline(monkeypatch: pytest.MonkeyPatch) 
         monkeypatch.setattr(f"splitband.{module}.now", lambda: clock.began + 65.0)
     assert clock.left_in_words() == "0:53 left of 2:00"
     assert Clock(began=clock.began).left_in_words() == "1:05 so far"
+    # The page is written meanwhile where that takes little of these 53 s.
+    assert clock.allows_pages
+    assert not replace(clock, writing=10.0).allows_pages
 
 
 def test_a_notebook_whose_cursor_only_moves_on_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from splitband.comparison.request import PlanRequest
 from splitband.comparison.run import compare, run
 from splitband.comparison.running import RunningComparison
 from splitband.forecasters.prediction import ForecastContext
-from splitband.runtime.deadlines import current
+from splitband.runtime.deadlines import current, now
 from tests.signals import SETUP, TRAIN, record
 from tests.support import slowed
 
@@ -66,6 +66,51 @@ class Patient(Baseline):
         self.steps = 0
         while self.steps < self.most and not current().over:
             self.steps += 1
+
+
+class Identified(Baseline):
+    """Its fit is that of a simulator, and takes all of the time that it may."""
+
+    name, fits_simulator = "identified", True
+
+    def learn(self, records: object, **_: object) -> None:
+        while not current().over:
+            pass
+
+
+class Trained(Baseline):
+    """Its simulator has an unknown term, whose training took 400 s."""
+
+    name, fits_simulator = "trained", True
+
+    def learn(self, records: object, **_: object) -> None:
+        self.fitted = self.require_fitted().reporting(seconds=400.0)
+
+
+@pytest.mark.parametrize(("limit", "whole"), [(500.0, False), (1000.0, True)])
+def test_a_simulator_keeps_what_it_had_time_for(limit: float, whole: bool) -> None:
+    planned = plan(PlanRequest(RECORD, TRAIN, [Trained(), "mean"], budget=1e6))
+    result = run(planned, clock=Clock(limit, now()))
+    assert (len(result.fits["trained"][0].fitted.require_fitted().record) == TRAIN) == whole
+    assert bool(result.clock.notes) != whole
+
+
+def test_what_is_quick_is_fitted_before_a_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(PlanRequest(RECORD, TRAIN, [Identified(), Patient(), "mean"], budget=1e6))
+    result = run(planned, clock=Clock(1000.0, clock.at))
+    assert vars(result.fits["patient"][0].fitted)["steps"] > 0
+
+
+def test_linear_is_fitted_though_the_start_took_the_time() -> None:
+    """A worker process would begin as slowly as this one did."""
+    planned = plan(PlanRequest(RECORD, TRAIN, ["linear", "mean", "gru"], budget=5.0, **SMALL))
+    result = run(planned, cores=2, clock=Clock(5.0, now() - 6.0))
+    assert {*result.fits} == {"linear", "mean"}
+    (_, said) = result.clock.notes
+    assert said.startswith("no network was trained in the time: raise --budget (5 s)")
+    assert result.clock.in_words().startswith("time: ")
+    assert "of 5 s, 0 s of training on 2 cores; start 6 s" in result.clock.in_words()
 
 
 def test_networks_have_their_rounds_while_a_baseline_never_ends() -> None:

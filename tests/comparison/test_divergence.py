@@ -14,11 +14,15 @@ import torch
 from splitband import GRU, Record, TrainingSettings
 from splitband.cli import main
 from splitband.comparison.methods import Sizes
+from splitband.comparison.run import compare as compared
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.baselines import Mean
 from splitband.forecasters.hybrid import Single
+from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.simulation import Calibrated
 from splitband.models import ResidualModel
+from splitband.report import words
 from splitband.runtime.deadlines import DeadlineError
 from splitband.training import fit
 from tests.signals import Setup
@@ -156,3 +160,42 @@ def test_forecast_takes_another_method_than_one_that_failed(
     assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
     table = pd.read_csv(tmp_path / "out" / "forecast.csv")
     np.testing.assert_allclose(table["y"], RECORD.y[TRAIN : TRAIN + 50, 0], atol=1e-3)
+
+
+class Growing(Forecaster):
+    """It has the inputs as outputs, and an error that grows as of an unstable model."""
+
+    random, name = True, "growing"
+    pole = 1.02
+
+    def learn(self, records: Any, **_: Any) -> None:
+        self.fitted = self.require_fitted().reporting(growth=self.pole)
+
+    def extrapolate(self, known: ForecastContext) -> np.ndarray:
+        assert known.u is not None
+        ahead = np.arange(known.steps)[:, None]
+        return known.u[len(known.y) :][: known.steps] + 1e-3 * self.pole**ahead
+
+
+class Settled(Growing):
+    """Its error is the same at each sample, and larger on the samples that are held out."""
+
+    name, pole = "settled", 1.0
+
+    def extrapolate(self, known: ForecastContext) -> np.ndarray:
+        return super().extrapolate(known) + 0.02
+
+
+@pytest.mark.parametrize(("train", "tests", "best"), [(400, 1, "settled"), (790, 0, "growing")])
+def test_a_network_that_drifts_from_the_training_samples_is_not_recommended(
+    train: int, tests: int, best: str
+) -> None:
+    """On the held-out quarter, shorter than a test record, it is the best one."""
+    u = np.random.default_rng(0).standard_normal((800, 1))
+    record, other = Record(u, DT, u=u), Record(u[::-1], DT, u=u[::-1])
+    found = compared(record, train, [Growing(), Settled()], tests=[other] * tests)
+    trial = found.require_trial()
+    assert trial.errors["growing"] < trial.errors["settled"]
+    assert found.recommended == best
+    said = " ".join(words.why(trial, train, {}))
+    assert "That of growing, which is unstable, is the error of its simulation" in said

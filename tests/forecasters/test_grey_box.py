@@ -10,6 +10,7 @@ import pytest
 import scipy
 
 import splitband as sb
+from splitband.checks.model import tests_on as residuals_on
 from splitband.runtime.arrays import Array
 from splitband.simulators.open_simulator import simulated
 
@@ -197,3 +198,37 @@ def test_an_equation_may_fail_in_the_middle_of_the_ranges(gain: Any) -> None:
     y = scipy.signal.lfilter([0.0, 0.1], [1.0, -0.9], u)
     simulator = sb.Ode(lag, [0.0], parameters={"a": (-2.0, 2.0)})
     assert sb.GreyBox(simulator, starts=4).fit(sb.Record(y, DT, u=u)).describe().startswith("a = ")
+
+
+def test_residuals_of_an_unstable_hybrid_take_one_run_of_its_equation(
+    monkeypatch: pytest.MonkeyPatch, model: sb.GreyBox
+) -> None:
+    """Not a search for the equation's state, over the whole history, before each sample."""
+    runs, respond = list[int](), sb.Ode.respond
+
+    def counted(self: Any, time: Array, *rest: Any) -> Any:
+        runs.append(len(time))
+        return respond(self, time, *rest)
+
+    short = sb.TrainingSettings(window=40, warmup=20, epochs=1)
+    bands = sb.Bands(0.2, 1, 1)
+    hybrid = sb.Filtered(rig(k=4.0, c=0.5), sb.StateSpace(2), bands, True, short)
+    hybrid.fit(driven(0)[:300], seed=0)
+    hybrid.fitted = hybrid.require_fitted().reporting(growth=1.001)
+    fitted = sb.Ensemble.of([hybrid])
+    monkeypatch.setattr(sb.Ode, "respond", counted)
+    for samples in (200, 400):
+        record = driven(1, state=(2.0, -1.0))[:samples]
+        (tested,) = residuals_on(fitted, record)
+        assert runs.count(samples) == 1
+        assert sum(each > 20 for each in runs) == 1
+        # By streams that observe every sample, which estimate the state of the equation once.
+        stream = hybrid.stream(record[:20], other_record=True)
+        left = []
+        for n in range(20, samples):
+            y = stream.copy().step(inputs(record)[n])
+            left.append(record.y[n] - y)
+            stream.observe(record.y[n], inputs(record)[n])
+        size = np.sqrt(np.mean(np.square(left))) / record.y[20:].std()
+        assert tested.size == pytest.approx(size, rel=1e-3)
+        runs.clear()

@@ -26,7 +26,7 @@ from splitband.forecasters.held_out import (
     many_origins,
     so_far_ahead,
 )
-from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.prediction import Prediction, known_of
 from splitband.metrics import (
     Extrapolation,
     ExtrapolationWarning,
@@ -235,7 +235,8 @@ def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
         with without_warnings(ExtrapolationWarning):
             return forecaster.predict(**after(record, begin), other_record=other)
     origins = [Origin(0, at, 1) for at in range(begin, len(record))]
-    made = forecasts(forecaster, record, origins, other_record=other)
+    known = known_of(forecaster, other_record=other, **after(record, begin))
+    made = forecasts(forecaster.run_over(known), record, origins, other_record=other)
     y = np.concatenate([said.y for said in made.values()])
     return Prediction(y, record[:begin].grid.after(len(y)), record.columns)
 

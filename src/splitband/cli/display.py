@@ -70,6 +70,7 @@ class Display:
             printing.console.print(str(state))
         # The whole result once, which takes its time, after workers were given their trainings.
         whole = bool(state.finals) and not (state.new_table or self._written)
+        whole &= state.clock.allows_pages
         if (state.new_table or whole) and state.clock.left:
             self._write(state, whole)
 

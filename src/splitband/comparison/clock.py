@@ -18,6 +18,9 @@ further choices of training settings, a fit without networks. Bounds the time.""
 MOST_OF_BASELINE = 10.0
 """Most seconds in which a fit without networks has to end with what it has. Bounds the time."""
 
+PAGE_SHARE = 0.1
+"""Largest share of the time left for writing the whole result meanwhile. Bounds the time."""
+
 
 @dataclass(eq=False)
 class Clock:
@@ -79,6 +82,11 @@ class Clock:
             return math.inf
         return min(MOST_OF_TIME_LEFT * self.limit, MOST_OF_BASELINE)
 
+    @property
+    def allows_pages(self) -> bool:
+        """Return whether writing the result meanwhile takes little of the time that is left."""
+        return self.writing < PAGE_SHARE * self.left
+
     def enter(self, part: str) -> str:
         """End the present part of the command, begin another one, and return the present one."""
         before, self.part = self.part, part
@@ -102,10 +110,14 @@ class Clock:
         }
 
     def in_words(self) -> str:
-        """Return the time that was used, in a line."""
+        """Return the time that was used, in a line; of more than was asked for, what took it."""
+        self.enter(self.part)
         asked = "" if self.limit is None else f" of {self.limit:.0f}"
         said = f"time: {self.used:.0f}{asked} s, {self.trained:.0f} s of training on "
         said += f"{self.cores} core{'s' if self.cores > 1 else ''}"
+        if self.limit is not None and round(self.used) > round(self.limit):
+            took = sorted(self.parts.items(), key=lambda part: -part[1])
+            said += "; " + ", ".join(f"{part} {spent:.0f} s" for part, spent in took if spent > 1)
         return said + ("; settled: more time would change little" if self.settled else "")
 
     def left_in_words(self) -> str:

@@ -84,8 +84,8 @@ def held_out_job(
     return Job(shorter, plan.held_out_spec(shorter), seed, start)
 
 
-def _run(deadline: Deadline, job: Job) -> Fit:
-    """Run a job in any process."""
+def run_until(deadline: Deadline, job: Job) -> Fit:
+    """Run a job in any process, with what it has at the deadline."""
     if deadline.over and job.trains and not job.needed:
         return job.late()
     began = now()
@@ -216,7 +216,7 @@ class Runner:
             else:
                 todo.append(job)
         patience = patience or deadline.earlier(-GRACE)
-        self._queue.begin(partial(_run, deadline), todo, patience, first)
+        self._queue.begin(partial(run_until, deadline), todo, patience, first)
 
     def ended(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Fit]]:
         """Yield every job that was begun with its fit, as it ends, until all of these have."""

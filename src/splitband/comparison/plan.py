@@ -117,6 +117,14 @@ class Plan:
         """Return the names of the methods."""
         return [method.name for method in self.methods]
 
+    @property
+    def simulated(self) -> int:
+        """Return the samples of the longest simulation; 0 where methods are not judged by one."""
+        if self.ahead is not None or self.reach is not None:
+            return 0
+        held_out = self.train - first_held_out(self.train)
+        return max([held_out, self.horizon, *map(len, self.tests)])
+
     @cached_property
     def warnings(self) -> list[str]:
         """Return what seems wrong in the records, a sentence each; see `Record.warnings`.

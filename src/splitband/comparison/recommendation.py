@@ -22,6 +22,7 @@ COVERAGE = 0.9
 """Share of the samples that an interval should cover, 0 to 1. A convention."""
 RULE = (
     "the held-out RMSE in standard deviations, of several outputs the root of the sum of squares; "
+    "of unstable networks that of their simulation of the training samples, where larger; "
     f"networks carry a penalty of {100 * WORTH_TRAINING:.0f} %; the lowest score is recommended"
 )
 """How methods are ranked, in words."""
@@ -47,6 +48,7 @@ class Trial:
     failed: Mapping[str, str] = field(default_factory=dict)  # why methods could not be fitted
     left_out: frozenset[str] = frozenset()  # not recommended, or as a last resort, see `judged`
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)  # errors, for intervals
+    drifting: tuple[str, ...] = ()  # methods whose score is the error of a longer simulation
 
     @property
     def intervals(self) -> dict[str, Interval]:
@@ -91,8 +93,13 @@ def judged(
     final: Mapping[str, Sequence[Fit]],
     failed: Mapping[str, str],
     left_out: frozenset[str] = frozenset(),
+    asked: int = 0,
 ) -> Trial:
     """Return what held-out forecasts and final fits say of each method.
+
+    The held-out part is short: a network that is unstable may forecast it well, and drift away in a
+    simulation of all samples that are `asked` for. That of the training samples shows it, so its
+    score is at least the error of that, over as many samples (docs/developers/rules.md).
 
     `held` and `final` are fits to three quarters of the training part, and to all of it. A
     method that is fitted once for its held-out forecasts, as a network is, may have been lucky.
@@ -116,14 +123,23 @@ def judged(
         change = np.mean([(np.median(ahead, axis=0) - y) ** 2 for y in early], axis=0)
         apart = np.var(ahead, axis=0, ddof=1) if len(ahead) > 1 else 0.0
         held_out[name] = replace(held_out[name], doubt=np.sqrt(change + apart))
+    scores = {name: held_out_score(training, fits) for name, fits in held.items()}
+    longer = {
+        name: _from_start(finals[name], training, asked)
+        for name in (trained & finals.keys() if asked else ())
+        if not all(fit.report.stable for fit in finals[name])
+    }
+    drifting = tuple(sorted(name for name in longer if longer[name] > scores[name]))
+    scores |= {name: longer[name] for name in drifting}
     return Trial(
         {name: _of_channels(held_out_errors(training, said)) for name, said in forecasts.items()},
-        {name: held_out_score(training, fits) for name, fits in held.items()},
+        scores,
         trained,
         tuple(finals),
         failed,
         left_out,
         held_out,
+        drifting,
     )
 
 
@@ -136,7 +152,7 @@ def without_failed(training: Record, fits: Sequence[Fit]) -> list[Fit]:
     """
     if not fits or not fits[0].fitted.random:
         return [*fits]
-    errors = [_from_start(fit, training) for fit in fits]
+    errors = [_from_start([fit], training) for fit in fits]
     stable = [error for fit, error in zip(fits, errors, strict=True) if fit.report.stable]
     usual = median_low(stable or errors)
     kept, said = list[Fit](), list[str]()
@@ -153,12 +169,16 @@ def without_failed(training: Record, fits: Sequence[Fit]) -> list[Fit]:
     return [replace(kept[0], notes=(*kept[0].notes, *said)), *kept[1:]]
 
 
-def _from_start(fit: Fit, training: Record) -> float:
-    """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
-    first = min(fit.forecasts, key=lambda origin: origin.at)
-    y = fit.forecasts[first].y[: max(len(training) - first.at, 0)]
-    scale = spread(training.y_with_gaps)
-    return rmse(training.y_with_gaps[first.at :] / scale, y / scale) if len(y) else 0.0
+def _from_start(fits: Sequence[Fit], training: Record, samples: int | None = None) -> float:
+    """Return the RMSE of the simulation of the first training samples, channels scaled; 0 if empty.
+
+    It is the median of several fits.
+    """
+    forecasts = median_forecasts(fits)
+    at = min(origin.at for origin in forecasts)
+    seen, scale = training.y_with_gaps[at:][:samples], spread(training.y_with_gaps)
+    y = next(y for origin, y in forecasts.items() if origin.at == at)[: len(seen)]
+    return rmse(seen / scale, y / scale) if len(y) else 0.0
 
 
 def _of_channels(errors: Sequence[Array]) -> tuple[float, ...]:

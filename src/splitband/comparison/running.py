@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 from splitband.comparison import estimates
 from splitband.comparison.backtest import BacktestSpec, Fit
 from splitband.comparison.clock import Clock
-from splitband.comparison.jobs import GRACE, Bases, Job, Runner, held_out_job, late
+from splitband.comparison.jobs import (
+    GRACE,
+    Bases,
+    Job,
+    Runner,
+    held_out_job,
+    late,
+    run_until,
+)
 from splitband.comparison.method_state import MethodState, reason_of
 from splitband.comparison.methods import BASES
 from splitband.comparison.plan import Plan
@@ -53,6 +61,8 @@ class RunningComparison:
         self._search: Search | None = None
         self._bases = Bases(runner)
         clock.enter("simulators")
+        # Whether time is over before workers begin; they take as long as this process.
+        self._brief = runner.executor is not None and clock.left < clock.parts["start"]
         ran: dict[Any, Any] = {}
         for state in self.states.values():
             self._simulate(state, ran)
@@ -127,7 +137,8 @@ class RunningComparison:
         attempts = () if self._search is None else tuple(self._search.attempts)
         found = Comparison(self.plan, self.fits(), None, attempts, self.clock)
         given = self.plan.training, self.trials, found.fits, self.failed
-        return replace(found, trial=judged(*given, self.plan.also.union(found.left_out)))
+        left_out = self.plan.also.union(found.left_out)
+        return replace(found, trial=judged(*given, left_out, self.plan.simulated))
 
     def result(self) -> Comparison:
         """Return the comparison at the end, with the refit if one is asked for."""
@@ -160,10 +171,13 @@ class RunningComparison:
         prepared = [f for f in self._ready if f.random or f.fits_simulator]
         self._try([f for f in quick if f not in [*at_once, *prepared]])
         # Workers load torch while the first table is shown and written.
-        self._runner.start([f for f in self._ready if f.random])
+        if not self._brief:
+            self._runner.start([f for f in self._ready if f.random])
         self._try(at_once)
         if len(at_once) < len(self._ready):
             self._report("baselines", new_table=True)
+        if self._runner.executor is None:
+            self._await_quick()
         until = self._half()
         for forecaster in prepared:
             spec = self.plan.held_out_spec(forecaster)
@@ -186,8 +200,14 @@ class RunningComparison:
                 self._take(job, job.run())
             return
         job = replace(self._bases.given_to(job), limit=self._limit(job.forecaster))
+        # One with a limit of its own may begin late, as its process does.
+        until = self._half() if job.forecaster.fits_simulator else self.clock.deadline
+        if self._brief:
+            with one_thread():
+                self._take(job, run_until(until, job))
+            return
         self.states[job.method].job = job
-        self._runner.begin([job], self._half(), first=True)
+        self._runner.begin([job], until, first=True)
 
     def _take(self, job: Job, fit: Fit) -> None:
         """Take a fit of a method without networks; after the trial, the final fit begins."""
@@ -200,7 +220,8 @@ class RunningComparison:
         else:
             state.trial, self._trial = [fit], None
             job = Job(method, self.plan.spec(method))
-            if method.at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
+            took = max(fit.seconds, fit.report.seconds)  # a simulator was fitted before its job
+            if method.at_once or took < (1 - HELD_OUT_SHARE) * self._half().left:
                 self._bases.fit(method, [self.plan.training, *self.plan.others], self._half())
             else:
                 job = replace(job, start=fit.model, trains=False)
@@ -238,7 +259,7 @@ class RunningComparison:
     def _run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
         networks = [f for f in self._ready if f.random]
-        if self.trials and self.clock.deadline.over:
+        if self.trials and (self.clock.deadline.over or self._brief):
             self._fail(late(network.name) for network in networks)
             return
         if not networks:
@@ -338,7 +359,7 @@ class RunningComparison:
         models of an unstable plant are not judged.
         """
         plan = self.plan
-        if plan.ahead is not None or plan.reach is not None:
+        if not plan.simulated:
             return self.finals
         return {
             name: without_failed(plan.training, fits)

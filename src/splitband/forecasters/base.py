@@ -484,6 +484,10 @@ class Forecaster(WithRepr, ABC):
         """
         return any(part.filters_history for part in parts_of(self))
 
+    def run_over(self, known: ForecastContext) -> Forecaster:
+        """Return it with its base run over history and forecast, for forecasts from inside them."""
+        return self
+
     @property
     def fitted_bases(self) -> list[Forecaster]:
         """Return the fitted forecasters whose error a network of this one learns."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack, final
 
@@ -175,6 +176,11 @@ class Ensemble(Forecaster):
         if any(each.keys() != parts[0].keys() for each in parts):
             parts = [{"": y} for y, _ in found]
         return median_components(parts, [y for y, _ in found])
+
+    def run_over(self, known: ForecastContext) -> Forecaster:
+        new = copy(self)
+        new.members = [member.run_over(known) for member in self.members]
+        return new
 
     def step_form(self) -> Steps:
         return MedianSteps([member.step_form() for member in self.members])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
@@ -94,6 +94,8 @@ class Network(Forecaster):
     """The bands of the training, given or chosen."""
     _fitted_base: Forecaster | None = None
     """The fitted base."""
+    _slow: Array | None = None
+    """Its output over a whole record, see `run_over`."""
     _prehistory: Prehistory | None = None
     """The distribution of warm-ups, for histories that are shorter than one."""
     _weights: Arrays
@@ -342,7 +344,8 @@ class Network(Forecaster):
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of the base, and one for a history shorter than the warm-up."""
-        doubts = [] if self._fitted_base is None else self._fitted_base.doubts(known)
+        base = self._fitted_base
+        doubts = [] if self._slow is not None or base is None else base.doubts(known)
         begin = 0 if self._short(known) else self._span(known.y)[0]
         y = known.y[begin:]
         seen = (np.isfinite(y).any(axis=1) | covered(y)).sum()
@@ -402,6 +405,18 @@ class Network(Forecaster):
             with one_thread():
                 self.delays = input_delays(driven) if start is None else start.delays
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
+
+    def run_over(self, known: ForecastContext) -> Network:
+        """Return it with its base run once, from a state that the history alone tells."""
+        new, since = copy(self), 0 if self._short(known) else self._span(known.y)[0]
+        new._slow = self._base_output(replace(known, since=since))
+        return new
+
+    def _base_output(self, known: ForecastContext) -> Array | None:
+        """Return the base's output over history and forecast; None without a base."""
+        if self._slow is not None:
+            return self._slow[: len(known.y) + known.steps]
+        return None if self._fitted_base is None else self._fitted_base.trajectory(known)
 
     @property
     def fitted_bases(self) -> list[Forecaster]:
@@ -488,18 +503,17 @@ class Network(Forecaster):
         forecast and, of a base, `more` where they are known.
         """
         y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
-        base, length, samples = self._fitted_base, self.warmup, len(known.y)
+        length, samples = self.warmup, len(known.y)
         if known.y_sim is not None and len(known.y_sim) <= samples:
             more = 0
         whole = replace(known, steps=known.steps + more)
         if self._short(known):
             assert self._prehistory is not None
-            slow = None if base is None else base.trajectory(whole)
+            slow = self._base_output(whole)
             return *self._prehistory.completed(self._trained(), y, u, slow), 0
         begin, start, last = self._span(y)
-        slow = None
-        if base is not None:
-            slow = base.trajectory(replace(whole, since=begin))[begin:]
+        slow = self._base_output(replace(whole, since=begin))
+        slow = None if slow is None else slow[begin:]
         u = None if u is None else u[begin : samples + known.steps]
         y = y[begin:last].copy()
         if np.isnan(y[:length]).any():

@@ -112,6 +112,12 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
         f"first {percent(1 - HELD_OUT_SHARE)} of the {train:,} training samples and predicted the "
         "rest" + (f", up to {ahead} samples ahead from many origins." if ahead else ".")
     )
+    if trial.drifting:
+        names = ", ".join(called.get(name, name) for name in trial.drifting)
+        words.append(
+            f"That of {names}, which is unstable, is the error of its simulation of the training "
+            "samples, as it is larger."
+        )
     if trial.trained and set(trial.errors) - trial.trained:
         words.append(f"The scores of networks carry a penalty of {percent(WORTH_TRAINING)}.")
     return words
