@@ -235,9 +235,6 @@ def test_a_change_to_summer_time_is_no_gap(tmp_path: Path) -> None:
     found = read(stamped(tmp_path, [time.isoformat() for time in times], "date"))
     assert found.sampling_time == 900
     assert found.start == times[0]
-    local = stamped(tmp_path, [f"{time:%Y-%m-%d %H:%M:%S}" for time in times], "date")
-    with pytest.warns(ReadingWarning, match=r"hour is missing after .*name the zone.*'date'"):
-        read(local, gaps="mask")
 
 
 def test_a_temperature_that_rises_is_not_the_time(tmp_path: Path) -> None:

@@ -351,8 +351,7 @@ def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Recor
         table = {name: column.iloc[::-1] for name, column in table.items()}
     signals, found = _signals(table, picked, how)
     left_out = f"left out: {listed(picked.left_out)}" if picked.left_out else ""
-    notes = [left_out, picked.forgotten]
-    notes += [] if times is None else [times.note, times.missing_hour]
+    notes = ["" if times is None else times.note, left_out, picked.forgotten]
     sparse = [c for c, x in signals.items() if is_sparse(x)]
     outputs = [c for c in picked.measured if c not in picked.known]  # a plan's are its inputs
     notes += [_slower(c, signals[c]) for c in outputs if c in sparse]

@@ -50,7 +50,11 @@ def remedy(table: Table, names: Sequence[str], read: Reading, usual: str) -> str
     step = np.median(steps[steps > 0]) if len(back) < len(steps) else 0.0
     off = np.abs(steps - step)[np.abs(steps - step) > 0.01 * step]
     if read.date is not None and not read.date.tzinfo and (abs(off - 3600) < 0.01 * step).all():
-        return f"{name_the_zone(time)}; otherwise {usual}"
+        return (
+            f"if summer time began or ended there, name the zone, in pandas table[{time!r}] = "
+            f"pd.to_datetime(table[{time!r}]).dt.tz_localize('Europe/Berlin', ambiguous='infer'); "
+            f"otherwise {usual}"
+        )
     parts = np.split(seconds, back + 1)
     again = [b[0] < a[-1] - 0.5 * np.ptp(a) and len(a) > 2 for a, b in pairwise(parts)]
     if not (again and all(again)):
@@ -65,14 +69,6 @@ def remedy(table: Table, names: Sequence[str], read: Reading, usual: str) -> str
     return (
         f"the clock begins again ({len(back)} times), so the file holds several runs{apart}: "
         f"runs={key!r} (--runs {key}) reads each as a record of its own"
-    )
-
-
-def name_the_zone(time: str) -> str:
-    """Return how to read a column of dates in which an hour may be missing or stand twice."""
-    return (
-        f"if summer time began or ended there, name the zone, in pandas table[{time!r}] = "
-        f"pd.to_datetime(table[{time!r}]).dt.tz_localize('Europe/Berlin', ambiguous='infer')"
     )
 
 

@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from splitband.records.rates import jitter, own_step
-from splitband.records.remedies import IGNORE, Table, name_the_zone, remedy
+from splitband.records.remedies import IGNORE, Table, remedy
 from splitband.records.signals import Column, Gaps, as_float, in_file, stretches
 from splitband.records.stamps import last_place, readings
 from splitband.runtime.arrays import Array
@@ -161,17 +161,6 @@ class Times:
     def stamp(self, seconds: float) -> Stamp:
         """Return these seconds as a stamp of the file's clock."""
         return seconds if self.date is None else stamp_after(self.date, seconds)
-
-    @property
-    def missing_hour(self) -> str:
-        """Return what to do where dates without a zone lack an hour, as when summer time begins."""
-        steps = np.diff(self.seconds)
-        usual = float(np.median(steps))
-        hours = np.flatnonzero(np.abs(steps - usual - 3600) < 0.1 * min(usual, 3600))
-        if self.date is None or self.date.tzinfo or not len(hours):
-            return ""
-        last = self.stamp(float(self.seconds[hours[0]]))
-        return f"an hour is missing after {last}: {name_the_zone(str(self.column.name))}"
 
     def check_increasing(self, repeated: bool = False, gaps: Gaps = "refuse") -> None:
         """Raise ValueError for stamps that do not increase; some may be `repeated`."""
