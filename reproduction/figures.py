@@ -75,7 +75,7 @@ def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> Figure:
         facts = [load(job, folder) for job in finished(line.jobs, folder)]
         good = [as_fit(run, line.jobs[0].record) for run in facts if "diverged" not in run]
         if good and good[0].seed == 0:
-            fits[line.method] = good
+            fits[line.method] = [*good]
     job = Job(system, next(iter(fits), "persistence"))
     record = job.record
     setup = job.setup(record)

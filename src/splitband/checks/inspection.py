@@ -242,11 +242,10 @@ def inspect(
     >>> found.record.inputs, found.columns[0].reasons
     (('valve',), ('switches 7 times between 0 and 1', 'is named so'))
     """
-    if isinstance(record, pd.DataFrame):
-        record = as_found(record)
-    require_records("record", record)
-    columns = inspected_columns(record)
-    record = _arranged(record, columns)
+    found: Record = as_found(record) if isinstance(record, pd.DataFrame) else record
+    require_records("record", found)
+    columns = inspected_columns(found)
+    record = _arranged(found, columns)
     train = int(TRAINING_SHARE * len(record)) if train is None else train
     training = beginning(record, whole("train", train, 2, len(record)))
     bands = _bands(training, bands or Bands())

@@ -229,7 +229,7 @@ def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -
     record = model.require_fitted().record
     step = record.sampling_time
     try:
-        own = {"columns": record.columns, "inputs": record.inputs}
+        own: dict[str, Any] = {"columns": record.columns, "inputs": record.inputs}
         rule = f"{option} must be a file"
         past = _read(file, rule, files, record, **own)[0]
     except ColumnError as error:

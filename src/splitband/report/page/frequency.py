@@ -11,9 +11,9 @@ from splitband.filters.spectrum import coherence, periodogram
 from splitband.records import Record
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, squared
-from splitband.report.page.charts import SMALL, TALL, Axis, Chart, Key, log_limits
+from splitband.report.page.charts import SMALL, TALL, Axis, Chart, log_limits
 from splitband.report.page.over_time import Run
-from splitband.report.page.parts import DASHES, Look
+from splitband.report.page.parts import DASHES, Key, Look
 from splitband.runtime.arrays import Array
 
 MOST_SAMPLES, SEGMENT = 2**18, 2**16

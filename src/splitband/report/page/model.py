@@ -14,8 +14,8 @@ from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.linear import Linear
 from splitband.linear.uncertainty import NORMAL
 from splitband.report.numbers import gain_in_words, number
-from splitband.report.page.charts import LOW, SMALL, Axis, Chart, Key, limits
-from splitband.report.page.parts import DASHES
+from splitband.report.page.charts import LOW, SMALL, Axis, Chart, limits
+from splitband.report.page.parts import DASHES, Key
 from splitband.runtime.arrays import Array
 
 SILENT = 1e-12

@@ -13,8 +13,8 @@ from splitband.forecasters.prediction import Prediction
 from splitband.metrics import DIVERGED
 from splitband.records import Record
 from splitband.report.numbers import percent
-from splitband.report.page.charts import LOW, SMALL, TALL, Axis, Chart, Key, limits
-from splitband.report.page.parts import Look
+from splitband.report.page.charts import LOW, SMALL, TALL, Axis, Chart, limits
+from splitband.report.page.parts import Key, Look
 from splitband.report.predictions import run_of
 from splitband.runtime.arrays import Array
 
@@ -159,7 +159,7 @@ def _residuals(run: Run, shown: Mapping[str, Look], axis: Axis, i: int) -> Chart
     chart = Chart(axis, label, (max(low, -reach), min(high, reach)), caption, SMALL)
     if run.half is not None:
         chart.band(-half, half, Key("interval", look.color, shaded=True))
-    for name in reversed(shown):
+    for name in reversed([*shown]):
         key = shown[name].key() if others else Key("residual", MEASURED)
         chart.line(left[name], key, line_width=0.9)
     return chart
