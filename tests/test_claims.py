@@ -128,9 +128,7 @@ def test_a_note_says_where_runs_were_measured(claims: Any, monkeypatch: pytest.M
     monkeypatch.setattr(claims, "equal", lambda **_: {claims.sources()})
     new, old = claims.marked({"commit": "abc"}, 0.001), {"commit": "def"}
     said = claims.note([old, new]).strip().split("\n\n")
-    assert said[0] == (
-        "† Measured at commit def (machine unknown), before code that decides accuracy changed."
-    )
+    assert said[0] == "† Measured at commit def, before code that decides accuracy changed."
     assert re.fullmatch(
         r"The others were measured at commit abc \(.+, \d+ cores, reference training "
         r"0\.001 to [\d.]+ s\)\.",

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import splitband as sb
 from splitband import read
 from tests.records.support import iso, message, stamped, text_file
 from tests.signals import NAN, holed
@@ -21,6 +22,15 @@ def test_cells_without_a_number_are_gaps(tmp_path: Path, cell: str) -> None:
     assert "column 'a' must be finite: 1 bad value" in said
     assert "row 1" in said
     assert "--gaps mask" in said
+
+
+def test_inputs_that_are_missing_together_are_said_together() -> None:
+    u = np.column_stack([[1.0, np.nan, 3], [1, np.nan, 3], [np.nan, 2, 3]])
+    with pytest.warns(UserWarning) as said:
+        sb.Record.with_gaps(np.zeros(3), 1.0, u=u, inputs=("a", "b", "c"))
+    first, other = (str(each.message) for each in said)
+    assert "inputs 'a', 'b' are missing in 1 of 3 samples (row 1)" in first
+    assert "input 'c' is missing in 1 of 3 samples (row 0)" in other
 
 
 @pytest.mark.parametrize(

@@ -166,19 +166,24 @@ class Record:
                 driven = np.asarray(known.all(axis=1, keepdims=True))
                 measured = np.asarray(measured & driven & np.concatenate([driven[:1], driven[:-1]]))
         record = cls(y, sampling_time, u=u, measured=measured, **others)
+        alike = dict[tuple[str, str], list[str]]()
         for name, lacks in zip(record.inputs, () if known is None else ~known.T, strict=False):
             if lacks.any():
-                how = "held there at its last value"
+                how = "held there at the last value"
                 if reading.hold is None:
-                    how += "; interpolate it beforehand if it changes smoothly"
+                    how += "; interpolate beforehand what changes smoothly"
                 elif name not in reading.hold:
                     how = "interpolated there"
-                warnings.warn(
-                    f"{record.name or 'the record'}: input {name!r} is missing in {lacks.sum()} of "
-                    f"{len(record)} samples ({row_ranges(lacks)}) and is {how}",
-                    ReadingWarning,
-                    stacklevel=2,
-                )
+                where = f"{lacks.sum()} of {len(record)} samples ({row_ranges(lacks)})"
+                alike.setdefault((where, how), []).append(repr(name))
+        for (where, how), lacking in alike.items():
+            what, verb = ("inputs", "are") if len(lacking) > 1 else ("input", "is")
+            warnings.warn(
+                f"{record.name or 'the record'}: {what} {', '.join(lacking)} {verb} missing in "
+                f"{where} and {verb} {how}",
+                ReadingWarning,
+                stacklevel=2,
+            )
         return record
 
     def __len__(self) -> int:
