@@ -26,7 +26,7 @@ def test_cells_without_a_number_are_gaps(tmp_path: Path, cell: str) -> None:
 
 def test_inputs_that_are_missing_together_are_said_together() -> None:
     u = np.column_stack([[1.0, np.nan, 3], [1, np.nan, 3], [np.nan, 2, 3]])
-    with pytest.warns(UserWarning) as said:
+    with pytest.warns(UserWarning, match="missing in 1 of 3") as said:
         sb.Record.with_gaps(np.zeros(3), 1.0, u=u, inputs=("a", "b", "c"))
     first, other = (str(each.message) for each in said)
     assert "inputs 'a', 'b' are missing in 1 of 3 samples (row 1)" in first
