@@ -10,6 +10,7 @@ import pandas as pd
 import typer
 
 from splitband.cli import printing
+from splitband.forecasters.held_out import so_far_ahead
 from splitband.report.results import write_csv
 from splitband.report.table import OVER_ALL, Column, Table, Unit
 from splitband.runtime.errors import InputError
@@ -88,7 +89,8 @@ def _rows(folder: Path, units: dict[str, Unit]) -> list[dict[str, Any]]:
     lines: dict[tuple[str, str], dict[str, Any]] = {} if table else {(own, ""): {}}
     for column in table:
         # What is 12 samples ahead in one folder is 50 in another.
-        heading = f"fit % {column['ahead']} ahead" if "ahead" in column else column["heading"]
+        ahead, heading = column.get("ahead"), column["heading"]
+        heading = f"fit % {so_far_ahead(ahead)}" if ahead else heading
         units[heading] = column["unit"]
         of = column.get("record", own), column.get("channel", "")
         line = over_all if column["unit"] in OVER_ALL else lines.setdefault(of, {})
