@@ -23,11 +23,12 @@ from splitband.comparison.run import fit as fit_planned
 from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import after, held_out_of
-from splitband.metrics import rmse
+from splitband.metrics import ExtrapolationWarning, rmse
 from splitband.records.timing import as_json
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import staged, write_facts
+from splitband.runtime.threads import without_warnings
 from splitband.training import Progress
 
 
@@ -148,7 +149,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
 def _try_out(forecaster: Forecaster, ahead: int | None) -> None:
     """Calibrate intervals; if that fails, warn, and the model is saved without them."""
     try:
-        with printing.without_warnings():
+        with without_warnings(ExtrapolationWarning):
             held_out_of(forecaster, ahead)
     except (InputError, FloatingPointError) as error:
         printing.warn(f"the model has no intervals: {error}")
@@ -164,6 +165,6 @@ def _training_error(forecaster: Forecaster) -> float | None:
     start = first_origin(record, len(record), forecaster.warmup).at
     if start == len(record) or not stable:
         return None
-    with printing.without_warnings():
+    with without_warnings(ExtrapolationWarning):
         y = forecaster.predict(**after(record, start)).y
     return rmse(record.y_with_gaps[start:], np.asarray(y))

@@ -14,7 +14,6 @@ from typing import Any, TextIO
 
 from rich.console import Console
 
-from splitband.metrics import ExtrapolationWarning
 from splitband.records.alignment import log
 from splitband.records.signals import ReadingWarning
 from splitband.report.page import NAME as PAGE
@@ -160,14 +159,6 @@ def table(shown: Table) -> None:
     console.print(shown.listed(verbose()) if least > console.width else drawn)
     for line in shown.remarks(verbose()):
         console.print(line, style="dim")
-
-
-@contextmanager
-def without_warnings() -> Iterator[None]:
-    """Silence the library's extrapolation warnings, where the command reports them itself."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ExtrapolationWarning)
-        yield
 
 
 @contextmanager

@@ -13,10 +13,11 @@ from splitband.cli import options, printing, records
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import load
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import leaves_range
+from splitband.metrics import ExtrapolationWarning, leaves_range
 from splitband.report.results import write_csv
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import is_stream, output_folder
+from splitband.runtime.threads import without_warnings
 from splitband.simulators.open_simulator import trajectory
 
 
@@ -150,7 +151,7 @@ def predicted(
     file: Path, after: Path | str, model: Forecaster, steps: int, **known: Any
 ) -> Prediction:
     """Write what a model predicts `after` a record; `known`: further arguments of `predict`."""
-    with printing.without_warnings():
+    with without_warnings(ExtrapolationWarning):
         found = model.predict(steps, **known)
     write_csv(file, found.to_frame())
     outputs, _ = model.require_fitted().record.labels
