@@ -135,7 +135,7 @@ def test_quiet_prints_nothing_but_errors_and_writes_the_same(
     call(f"--verbose {INSPECT} --quiet", tmp_path / "quiet")
     assert capsys.readouterr() == ("", "")
     call("fit record.csv --columns a --method mean --quiet", tmp_path / "forgotten")
-    assert "not used: b, force; --inputs" in capsys.readouterr().err
+    assert "not used: b, force; inputs (--inputs)" in capsys.readouterr().err
     call(INSPECT, tmp_path / "aloud")  # what comes after a quiet command is not quiet
     assert "Strongest frequencies" in capsys.readouterr().out
     quiet, aloud = results(tmp_path / "quiet"), results(tmp_path / "aloud")
