@@ -461,22 +461,19 @@ def _flat(rhs: Rhs, kind: Any, count: int, numbers: Any) -> Rhs:
     return flat
 
 
-@register_pass(mutates_CFG=True, analysis_only=False)
+@register_pass(mutates_CFG=True, analysis_only=False)  # type: ignore[no-untyped-call, unused-ignore]
 class _ListsAsTuples(FunctionPass):
     """Return literal lists as tuples, which need no memory; in Numba's own form of a function."""
 
     _name = "lists_as_tuples"
 
-    def __init__(self) -> None:
-        super().__init__()
-
     def run_pass(self, state: Any) -> bool:
         """Return whether the function has changed."""
         changed = False
         for block in state.func_ir.blocks.values():
-            made = {each.target.name: each.value for each in block.find_insts(ir.Assign)}
-            end = made.get(getattr(getattr(block.terminator, "value", None), "name", None))
-            value = made.get(end.value.name) if getattr(end, "op", "") == "cast" else None
+            made: dict[Any, Any] = {e.target.name: e.value for e in block.find_insts(ir.Assign)}
+            end: Any = made.get(getattr(getattr(block.terminator, "value", None), "name", None))
+            value: Any = made.get(end.value.name) if getattr(end, "op", "") == "cast" else None
             if getattr(value, "op", "") == "build_list" and end.value.is_temp:
                 value.op = "build_tuple"
                 changed = True
@@ -488,7 +485,8 @@ class _WithTuples(CompilerBase):
 
     def define_pipelines(self) -> list[Any]:
         """Return the passes."""
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        builder: Any = DefaultPassBuilder
+        passes = builder.define_nopython_pipeline(self.state)
         passes.add_pass_after(_ListsAsTuples, IRProcessing)
         passes.finalize()
         return [passes]
