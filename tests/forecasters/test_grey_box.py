@@ -187,6 +187,7 @@ def test_an_error_of_a_loaded_models_equation_says_where_it_is(
         loaded.predict(5, driven(0)[:320], u=inputs(driven(0))[320:325])
 
 
+@pytest.mark.filterwarnings("ignore:the equation lag is solved in Python")
 @pytest.mark.parametrize(
     "gain", [lambda p: 1.0 / p.a, lambda p: math.sqrt(p.a - 0.5), lambda p: (p.a - 0.5) ** 0.5]
 )

@@ -183,6 +183,7 @@ def test_a_chaotic_system_is_fitted_in_windows() -> None:
     assert found.values == pytest.approx({"rho": 28.0, "beta": 8 / 3}, rel=0.01)
 
 
+@pytest.mark.filterwarnings("ignore:the equation fails is solved in Python")
 def test_runs_that_fail_are_bad_values_and_no_run_at_all_is_an_error() -> None:
     """Of an equation that Numba cannot compile."""
 
