@@ -435,7 +435,8 @@ def main() -> None:
     text = given.out.read_text(encoding="utf-8") if given.out.exists() else ""
     rows = [json.loads(line) for line in text.splitlines()]
     if given.again:
-        old = [row for row in rows if row["system"] in given.systems and not claims.current(row)]
+        old = [row for row in rows if row["system"] in given.systems and "rooms" in row]
+        old = [row for row in old if not claims.current(row)]
         again([row for row in old if row["sources"] == old[0]["sources"]], given.again)
         return
     current = filter(claims.current, rows)
