@@ -468,7 +468,7 @@ class _ListsAsTuples(FunctionPass):
     _name = "lists_as_tuples"
 
     def __init__(self) -> None:  # abstract in the base class
-        """Do nothing more."""
+        super().__init__()  # type: ignore[no-untyped-call, unused-ignore]
 
     def run_pass(self, state: Any) -> bool:
         """Return whether the function has changed."""
