@@ -70,7 +70,7 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
     assert SLOW < settings["cutoff"] < FAST
     assert (settings["train"], settings["hidden_high"], settings["hidden_low"]) == (TRAIN, 4, 3)
     assert (training["window"], training["warmup"], training["epochs"]) == (30, WARMUP, 2)
-    assert (found["arguments"]["columns"], found["arguments"]["hidden"]) == ("a", "4,3")
+    assert (found["arguments"]["columns"], found["arguments"]["hidden"]) == ("a", "3,4")
     assert found["environment"].keys() == {"versions", "machine", "commit"}
     assert found["environment"]["versions"]["numpy"] == np.__version__
 

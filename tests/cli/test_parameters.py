@@ -32,7 +32,7 @@ def slip(t, x, u, p):
 
 
 def drag(t, x, u, p, w):
-    return [p.rate * (u[0] - x[0]) - w[0]]
+    return [p.rate * u[0] - w[0]]
 
 
 plant = sb.Ode(lag, [0.0], parameters={"rate": (0.1, 1.0)})

@@ -220,6 +220,7 @@ def gravest(comparison: Comparison) -> list[str]:
     return [
         *map(sentence, comparison.clock.notes),
         *_unstable(comparison),
+        *of_inputs(comparison.inputs_beyond_training, comparison.record),
         *_seen(comparison),
         *_worse_than_mean(comparison),
         *_useless_term(comparison),
@@ -234,7 +235,6 @@ def further(comparison: Comparison) -> list[str]:
         *_missed_interval(comparison),
         *_missing(comparison),
         *_few_held_out(comparison.plan.train),
-        *of_inputs(comparison.inputs_beyond_training, comparison.record),
         *_notes(comparison),
         *_untested(comparison),
         *_useless_simulator(comparison),
