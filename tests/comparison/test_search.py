@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import cycle
 from typing import Any
 
 import pytest
@@ -167,13 +168,13 @@ def test_a_late_or_failed_training_is_left_out_and_said() -> None:
 
 
 def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> None:
-    search = searching(["state-space", "gru"])
-    trainer = Trainer(lambda job, n: (0.1 if job.method == "gru" else 0.5) / n)
+    search, signs = searching(["state-space", "gru"]), cycle([1, -1])  # errors that cancel
+    trainer = Trainer(lambda job, n: next(signs) * (0.1 if job.method == "gru" else 0.5) / n)
     trainer.run(search, 4)
     assert next(iter(search.trials)) == "gru"
     jobs = search.finals()
     of_gru = [job for job in jobs if job.method == "gru"]
-    assert len(of_gru) >= 3  # on a short record the median of fewer is their mean
+    assert len(of_gru) > 1
     assert len(jobs) == len(of_gru) + 1
     for job in jobs:
         assert job.start is not None

@@ -13,7 +13,7 @@ from splitband.runtime.deadlines import Deadline, now
 
 MOST_OF_TIME_LEFT = 0.5
 """Largest share of the time left for what is done once before the best go on: fits of simulators,
-further choices of training settings, a fit without networks. Bounds the time."""
+further choices of training settings, fits without networks. Bounds the time."""
 
 MOST_OF_BASELINE = 10.0
 """Most seconds in which a fit without networks has to end with what it has. Bounds the time."""
@@ -75,12 +75,11 @@ class Clock:
         """Return the deadline of what does not train networks, where others do."""
         return Deadline.after(MOST_OF_TIME_LEFT * self.left)
 
-    @property
-    def of_baseline(self) -> float:
-        """Return the seconds of a fit without networks; without a limit they do not end it."""
+    def of_baseline(self, count: int) -> float:
+        """Return the seconds of one of so many fits without networks; without a limit no end."""
         if self.limit is None:
             return math.inf
-        return min(MOST_OF_TIME_LEFT * self.limit, MOST_OF_BASELINE)
+        return min(MOST_OF_TIME_LEFT * self.limit / count, MOST_OF_BASELINE)
 
     @property
     def allows_pages(self) -> bool:

@@ -471,7 +471,10 @@ class RunningComparison:
 
     def _limit(self, forecaster: Forecaster) -> float:
         """Return the seconds of a fit without networks."""
-        return math.inf if forecaster.fits_simulator else self.clock.of_baseline
+        if forecaster.fits_simulator:
+            return math.inf
+        own = [f for f in self._ready if not (f.random or f.at_once or f.fits_simulator)]
+        return self.clock.of_baseline(max(len(own), 1))
 
     def _reserve(self, search: Search) -> float:
         """Return the seconds that the final trainings of what is best so far will take."""
