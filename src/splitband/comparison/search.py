@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from splitband.comparison.backtest import WORTH_TRAINING, Fit, held_out_score
 from splitband.comparison.candidates import (
     FINAL_SHARE,
+    SHORT_RECORD,
     Candidate,
     candidates,
     combined,
@@ -32,6 +33,10 @@ from splitband.forecasters.network import Network
 
 SEEDS = 8
 """Seeds that each choice of settings is trained with at most, and trainings in a median at most."""
+LEAST_MEMBERS = 3
+"""Smallest number of trainings in the median on records of up to `SHORT_RECORD` samples: the median
+of fewer is their mean, which one of them can spoil. On longer ones, held-out errors tell which
+training is best (docs/developers/rules.md)."""
 GIVEN_SEEDS = 3
 """Default number of trainings of a network whose settings are given."""
 
@@ -174,7 +179,7 @@ class Search:
         """Return the candidates of a method whose median is its prediction, the best one first.
 
         They are the n best ones, whatever their settings, where n gives the median with the lowest
-        held-out error: wider ones forecast worse (docs/developers/rules.md).
+        held-out error; on short records at least `LEAST_MEMBERS`.
         """
         ranked = _ranked(c for c in self._tried if c.method == method)
         for candidate in ranked[SEEDS:]:  # it is none again, unless it is trained further
@@ -182,8 +187,11 @@ class Search:
         ranked = ranked[:SEEDS]
         if self._plan.seeds is not None:
             return ranked[: self._plan.seeds]
+        least = LEAST_MEMBERS if len(self._record) <= SHORT_RECORD else 1
+        counts = range(min(least, len(ranked)), len(ranked) + 1)
+        medians = [ranked[:n] for n in counts if n]
         return min(
-            [ranked[: n + 1] for n in range(len(ranked))],
+            medians,
             key=lambda some: held_out_score(self._record, [c.fits[c.best] for c in some]),
             default=[],
         )
