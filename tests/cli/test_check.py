@@ -30,6 +30,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(autouse=True)
+def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No other test writes there, so that files are as they were."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.mark.usefixtures("drawn")
 def test_a_good_model_is_accepted_in_text_json_and_page(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
