@@ -128,8 +128,8 @@ def holds_dates(column: Column) -> bool:
     if not len(first) or not is_text(first) or has_number(first) or first.isna().any():
         return False
     with suppress(InputError):
-        found, order = _of_dates("", first), pd.Index(first).is_unique
-        return order and found.date is not None and bool((np.diff(found.seconds) >= 0).all())
+        found = _of_dates("", first)
+        return found.date is not None and bool((np.diff(found.seconds) > 0).all())
     return False
 
 
