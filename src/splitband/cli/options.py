@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import inspect
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import wraps
@@ -152,38 +151,18 @@ def hidden(text: str) -> tuple[int, int]:
     return low, high
 
 
-def _or_auto(kind: type[float] | type[int], what: str) -> Callable[[str], Any]:
-    """Return a parser of numbers that turns auto into None, for which a number is chosen."""
+def _number_or(word: str, kind: type[float] | type[int], what: str) -> Callable[[str], Any]:
+    """Return a parser of numbers that leaves one word as it is."""
 
-    def parsed(value: str) -> float | None:
-        if value == "auto":
-            return None
+    def parsed(value: str) -> float | str:
         try:
-            number = kind(value)
+            return word if value == word else kind(value)
         except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            raise typer.BadParameter(f"must be {what} or auto")
-        return number
+            raise typer.BadParameter(f"must be {what} or {word}") from None
 
     return parsed
 
 
-def _training_samples(value: str) -> int | Literal["all"]:
-    """Return the number of --train, or "all"."""
-    try:
-        return "all" if value == "all" else int(value)
-    except ValueError:
-        raise typer.BadParameter("must be a whole number of samples or all") from None
-
-
-def _grid_step(value: str) -> float | Literal["auto"]:
-    """Return the number of --step, or "auto"."""
-    return _or_auto(float, "a number of seconds")(value) or "auto"
-
-
-_hertz = _or_auto(float, "a frequency in Hz")
-_samples = _or_auto(int, "a whole number of samples")
 _record, _simulator = _fields("Record"), _fields("Simulator")
 _TIMES = ", ".join(TIME_NAMES)
 _filter, _training = _fields("Filter"), _fields("Training")
@@ -215,7 +194,7 @@ Train = Annotated[
         "their held-out errors alone.",
         "N|all",
         "three quarters; with --test, all",
-        parser=_training_samples,
+        parser=_number_or("all", int, "a whole number of samples"),
     ),
 ]
 History = Annotated[
@@ -246,7 +225,7 @@ Calibrate = Annotated[
 ]
 Cutoff = Annotated[
     float | None,
-    _FILTER("Cut-off frequency between the two bands.", "HZ|auto", "auto", parser=_hertz),
+    _FILTER("Cut-off frequency between the two bands.", "HZ", "found from the record"),
 ]
 Order = Annotated[
     int | None, _FILTER("Order of each Butterworth filter.", "N", "1 or 2, with the cut-off")
@@ -327,7 +306,7 @@ class FileOptions:
         "`auto` takes the usual step of the record.",
         "SECONDS|auto",
         "as measured",
-        parser=_grid_step,
+        parser=_number_or("auto", float, "a number of seconds"),
     )
     hold: str | None = _record(
         "Inputs that hold their last value between samples and in gaps; others are interpolated.",
@@ -495,7 +474,7 @@ class ModelOptions:
         "Keep every K-th sample of the low band.", "K", "as the low band allows"
     )
     warmup: int | None = _training(
-        "Measured samples from which a simulation starts.", "R|auto", "up to 50", parser=_samples
+        "Measured samples from which a simulation starts.", "R", "up to 50"
     )
     window: int | None = _training(
         "Samples in a training window, including the warm-up.", "N", "150 to 400"
