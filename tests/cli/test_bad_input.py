@@ -57,7 +57,6 @@ SETTINGS = [
     bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
     bad(GRU + "--conditioned", "--conditioned", "split-gru", "filtered-gru", "got gru"),
     bad(GRU + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
-    bad(GRU + "--own-warmup no", "--own-warmup must be left out", "split-gru", "got gru"),
 ]
 
 WORDS = [
