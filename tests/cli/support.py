@@ -60,6 +60,10 @@ def hanging(time):
 
 def interrupted(time):
     raise KeyboardInterrupt
+
+
+def equation(t, x, u, p):
+    return [u[0] - x[0]]
 """
 
 

@@ -74,17 +74,6 @@ def test_what_a_deadline_has_changed_is_said_and_stored(
     assert results(tmp_path)["notes"] == ["results are of three quarters of it"]
 
 
-def test_fit_sees_the_training_samples_only(model: Path, tmp_path: Path) -> None:
-    pd.read_csv("record.csv").assign(a=lambda t: t["a"].where(t.index < 100, 50.0)).to_csv(
-        tmp_path / "other.csv", index=False
-    )
-    for name in ("record.csv", str(tmp_path / "other.csv")):
-        line = f"fit {name} --columns a --method split-gru --train 100 {QUICK}"
-        call(line, tmp_path / Path(name).stem)
-    one, other = (next((tmp_path / name).glob("weights-*")) for name in ("record", "other"))
-    assert one.read_bytes() == other.read_bytes()
-
-
 def test_inputs_that_are_a_matrix_are_known_by_their_columns(tmp_path: Path) -> None:
     u = np.random.default_rng(0).standard_normal((SAMPLES, 2))
     y = 0.1 * np.cumsum(u @ [1.0, -0.5])
