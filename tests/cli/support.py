@@ -64,6 +64,10 @@ def interrupted(time):
 
 def equation(t, x, u, p):
     return [u[0] - x[0]]
+
+
+def driven(time, u):
+    return u[:, 0]
 """
 
 

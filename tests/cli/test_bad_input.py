@@ -20,6 +20,7 @@ pytestmark = pytest.mark.usefixtures("inside")
 MEAN = "compare record.csv --columns a --methods mean "
 LIKE = "fit record.csv --out m --like driven "
 FORECAST = "forecast record.csv --columns a --out out --steps 5 "
+BESIDE = "simulate --out ran.csv --record record.csv --inputs force "
 
 
 def bad(line: str, *says: str) -> Any:
@@ -127,9 +128,22 @@ MODELS = [
 ]
 
 
+SIMULATED = [
+    bad("simulate --out ran.csv", "MODEL_DIR must be given, or --record and --simulator"),
+    bad(BESIDE, "--record and --simulator", "got --record record.csv, --simulator none"),
+    bad("simulate --out ran.csv --simulator functions.py:good", "got --record none, --simulator"),
+    bad(BESIDE + "--simulator linear", "which is a baseline"),
+    bad(BESIDE + "--simulator functions.py:good --level 0.9", "--level must be left out"),
+    bad(BESIDE + "--simulator functions.py:driven --steps 5", "--steps", "end with it; got 5"),
+    bad("simulate gru --out ran.csv --record record.csv", "--record must be left out", "MODEL_DIR"),
+    bad("simulate gru --out ran.csv --columns a", "--columns must be left out", "got a"),
+    bad("simulate gru --out ran.csv", "--steps must be given"),
+]
+
+
 @pytest.mark.usefixtures("model", "hybrid_model", "driven_model")
 @pytest.mark.parametrize(
-    ("line", "says"), [*RECORDS, *SETTINGS, *WORDS, *OUTPUTS, *SIMULATORS, *MODELS]
+    ("line", "says"), [*RECORDS, *SETTINGS, *WORDS, *OUTPUTS, *SIMULATORS, *MODELS, *SIMULATED]
 )
 def test_bad_input_is_one_line_and_leaves_no_file(
     line: str, says: tuple[str, ...], capsys: pytest.CaptureFixture[str]

@@ -45,17 +45,6 @@ def test_it_agrees_with_scipy(held: bool) -> None:
     np.testing.assert_allclose(found[:-1], expected, atol=1e-7)
 
 
-def test_after_many_steps_it_is_compiled_and_says_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
-    solve, x0 = Solver(pendulum, 4), np.array([1.0, 0.0])
-    plain, compiled = (solve(P, x0, TIME, (INPUT, False), (NONE, 0.0), TIGHT) for _ in range(2))
-    assert solve.compiled
-    np.testing.assert_allclose(compiled[0], plain[0], atol=1e-12)
-    np.testing.assert_allclose(compiled[1], plain[1], atol=1e-9)
-
-
 def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
