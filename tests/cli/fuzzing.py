@@ -246,7 +246,7 @@ _COMMANDS = (
 )
 _FLAGS = """
     --train --warmup --window --epochs --cutoff --order --downsampling --sampling-time --steps
-    --seeds --horizon --hidden --lr-milestones --columns --inputs --time-column --gaps --methods
+    --seeds --horizon --hidden --columns --inputs --time-column --gaps --methods
     --method --more --simulator --simulator-timeout --recipe --history --learning-rate --seed
     --like --nonsense"""
 _NAMES = """

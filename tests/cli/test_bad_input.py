@@ -47,7 +47,6 @@ SETTINGS = [
     bad("compare record.csv --columns a --order 2", "--order must be left out", "--methods"),
     bad(SPLIT + "--cutoff 1 --downsampling 5", "downsampling by 5", "1 Hz", "at most 4"),
     bad(SPLIT + "--warmup many", "--warmup", "valid integer", "got many"),
-    bad(SPLIT + "--lr-milestones 20:fast", "--lr-milestones", "EPOCH:RATE", "20:fast"),
     bad(SPLIT + "--hidden 4", "--hidden", "LOW,HIGH", "got 4"),
     bad(SPLIT + "--hidden 4,0", "--hidden must be LOW,HIGH", "from 1", "got 4,0"),
     bad(SPLIT + "--methods ''", "--methods must be", "got ''"),

@@ -131,15 +131,6 @@ def seconds(duration: str, option: str = "--budget") -> float:
     return length
 
 
-def milestones(text: str) -> tuple[tuple[int, float], ...]:
-    """Return the pairs of --lr-milestones."""
-    try:
-        pairs = [part.split(":") for part in names(text)]
-        return tuple((int(epoch), float(rate)) for epoch, rate in pairs)
-    except ValueError:
-        raise InputError(f"--lr-milestones must be EPOCH:RATE,EPOCH:RATE,..., got {text}") from None
-
-
 def hidden(text: str) -> tuple[int, int]:
     """Return the two sizes of --hidden, that of the low band first."""
     try:
@@ -484,9 +475,6 @@ class ModelOptions:
         "Training settings not set by other options.", "default|constant-rate", default="default"
     )
     learning_rate: float | None = _training("Largest learning rate of Adam.", "RATE", "1e-2")
-    lr_milestones: str | None = _training(
-        "Learning rates from these epochs on: 20:1e-4,500:1e-5.", "EPOCH:RATE,..."
-    )
     hidden: str | None = _training(
         "Hidden units of the networks for the low and the high band; a single GRU has their sum.",
         "LOW,HIGH",

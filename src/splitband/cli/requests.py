@@ -155,8 +155,6 @@ def _show_with_inputs(context: typer.Context, record: Record, inputs: list[str])
 def _of_model(asked: options.ModelOptions) -> dict[str, Any]:
     """Return the arguments of `plan` for these options: in settings and bands, or as they are."""
     given = {name: value for name, value in vars(asked).items() if value is not None}
-    if (rates := given.pop("lr_milestones", None)) is not None:
-        given["milestones"] = options.milestones(rates)
     if (sizes := given.pop("hidden", None)) is not None:
         low, high = options.hidden(sizes)
         given["sizes"] = Sizes(hidden_low=low, hidden_high=high)
