@@ -187,7 +187,7 @@ def late_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("late")
     (folder / "functions.py").write_text(FUNCTIONS)
     write(folder / "record.csv", times(20), y=signal(times(0)))
-    line = f"fit {folder}/record.csv --method filtered-gru --calibrate {QUICK}"
+    line = f"fit {folder}/record.csv --method filtered-gru-calibrated {QUICK}"
     call(f"{line} --simulator {folder}/{SLOW}", folder / "model")
     return folder / "model"
 

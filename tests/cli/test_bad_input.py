@@ -56,8 +56,6 @@ SETTINGS = [
     bad(MEAN + "--train 100 --horizon 50 --refit", "--refit must be", "got 50", "splitband fit"),
     bad("inspect record.csv --columns a --train 0 --out out", "--train must be", "got 0"),
     bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
-    bad(GRU + "--conditioned", "--conditioned", "split-gru", "filtered-gru", "got gru"),
-    bad(GRU + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
 ]
 
 WORDS = [
@@ -95,7 +93,7 @@ SIMULATORS = [
 
 MODELS = [
     bad(f"{FIT} --method simulator", "--simulator", "must be given for simulator"),
-    bad(FIT + "--method filtered-gru --calibrate", "filtered-gru-calibrated", "--simulator"),
+    bad(FIT + "--method filtered-gru-calibrated", "filtered-gru-calibrated", "--simulator"),
     bad("fit record.csv --columns a --out out", "--method must be named", "compare", "methods"),
     bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
     bad("fit record.csv --columns a --out out --method gru --device meta", "--device", "meta"),

@@ -16,7 +16,7 @@ from splitband.comparison.plan import Plan
 
 GIVEN: dict[str, Any] = {"record": "my rig.csv", "inputs": "force", "columns": None, "gaps": "mask"}
 GIVEN |= {"test": ["later.csv"], "more": ["a.csv", "b.csv"], "train": 150, "out": "out"}
-GIVEN |= {"methods": "gru,linear", "calibrate": True, "cutoff": 1.0, "hidden": 8}
+GIVEN |= {"methods": "gru,linear", "refit": True, "cutoff": 1.0, "hidden": 8}
 GIVEN |= {"recipe": "default", "device": "cuda", "budget": "1m"}
 OUT = Path("out")
 
@@ -49,7 +49,7 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     )
     assert "sb.load('out/model')" in python
     assert "u=u" in python
-    assert "--calibrate" in found.asked
+    assert "--refit" in found.asked
     assert "--test later.csv" in found.asked
 
 

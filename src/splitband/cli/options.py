@@ -211,9 +211,6 @@ FutureInputs = Annotated[
         "FILE",
     ),
 ]
-Calibrate = Annotated[
-    bool, panel("Simulator")("Fit the simulator's gain, offset, delay and clock first.")
-]
 Cutoff = Annotated[
     float | None,
     _FILTER("Cut-off frequency between the two bands.", "HZ", "found from the record"),
@@ -221,7 +218,6 @@ Cutoff = Annotated[
 Order = Annotated[
     int | None, _FILTER("Order of each Butterworth filter.", "N", "1 or 2, with the cut-off")
 ]
-Conditioned = Annotated[bool, _FILTER("Give networks the prediction of the low band as an input.")]
 Epochs = Annotated[
     int | None, _TRAINING("Passes over all training windows.", "N", "about 1,000 steps")
 ]

@@ -44,8 +44,6 @@ class Request:
     ahead: options.Ahead = None
     methods: options.Methods = None
     seeds: options.Seeds = None
-    calibrate: options.Calibrate = False
-    conditioned: options.Conditioned = False
     refit: Annotated[
         bool,
         options.plain("Train the recommended method again, on the whole record, for OUT/model."),
@@ -84,25 +82,18 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
                 f"it runs for every record, got {', '.join(given[option] or ())}"
             )
     chosen: list[str | Forecaster] | None = None
-    calibrate, conditioned = asked.calibrate, asked.conditioned
     if model is not None:
         usual = default_names(record.y_sim is not None, record.nu > 0)
         beside = {*usual} - {*TRAINED, model.name}
         chosen = [model.untrained(), *(n for n in usual if not fitting and n in beside)]
-        calibrate = conditioned = False
     elif asked.methods is not None:
-        listed = options.names(asked.methods)
-        if not listed:
+        chosen = [*options.names(asked.methods)]
+        if not chosen:
             raise InputError(f"methods must be one or several names, got {asked.methods!r}")
-        if fitting and len(listed) == 1:
-            listed = [forecasters(listed, None, None, calibrate, conditioned)[-1].name]
-            calibrate = conditioned = False
-        chosen = [*listed]
     if simulator is None and record.y_sim is not None:
         # A named record's own simulator can run for longer.
         calibrates = any(method.calibrates for method in forecasters(chosen or ()))
-        longer = chosen is None or calibrate or calibrates
-        simulator = asked.record if longer else None
+        simulator = asked.record if chosen is None or calibrates else None
     others, tests = (
         records.load_further(option, files, beside, record, reading, simulated)
         for option, files, beside in (
@@ -126,8 +117,6 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             tests=tests,
             initial=test.initial,
             simulator=simulator,
-            calibrate=calibrate,
-            conditioned=conditioned,
             seeds=asked.seeds,
             refit=asked.refit,
             also=records.elsewhere(asked.also or (), record, reading),
