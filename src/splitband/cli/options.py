@@ -439,9 +439,6 @@ class SimulatorOptions:
     unknown_odd: bool = _simulator(
         "Unknown terms are odd functions, as friction is.", default=False
     )
-    unknown_increasing: bool = _simulator(
-        "Unknown terms increase with each of their arguments.", default=False
-    )
 
 
 @dataclass(frozen=True)

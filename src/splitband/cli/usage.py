@@ -26,7 +26,7 @@ from splitband.report.page.parts import Usage
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.runtime.system import over_lines, quoted
 
-_OF_FIT = "parameters", "unknown", "unknown_odd", "unknown_increasing"
+_OF_FIT = "parameters", "unknown", "unknown_odd"
 _SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name not in _OF_FIT]
 _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
 REPLACED_BY_LIKE = [name for name in ModelOptions.__annotations__ if name not in ("seed", "device")]
