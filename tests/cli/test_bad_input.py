@@ -61,6 +61,9 @@ SETTINGS = [
 WORDS = [
     bad(SPLIT + "--train abc", "--train", "a whole number of samples or all", "got abc"),
     bad(SPLIT + "--speed 3", "--speed"),
+    bad(SPLIT + "--epoch 3", "--epoch", "Possible options: --epochs"),
+    bad("check gru record.csv", "Missing option '--record'"),
+    bad("fit record.csv simulated.csv --method mean --out m", "(simulated.csv)"),
     bad("compare", "RECORD"),
     bad("learn record.csv", "learn"),
     bad("", "command"),
