@@ -1,6 +1,7 @@
 """What a record holds: likely inputs and why, dead times, bands; the oracle is how it was made."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ import scipy.signal
 
 import splitband as sb
 from splitband.checks.inspection import Inspection, of_unnamed, unnamed_inputs
-from splitband.records.public import data_folder
 from splitband.records.signals import ReadingWarning
 from splitband.runtime.arrays import Array
 
@@ -178,9 +178,9 @@ def test_a_column_that_counts_up_may_number_runs_and_is_asked_about() -> None:
     assert "inputs" not in found.options or "Mode" not in found.options["inputs"]
 
 
-def test_the_delay_of_a_slow_nonlinear_response_is_called_uncertain() -> None:
+def test_the_delay_of_a_slow_nonlinear_response_is_called_uncertain(public_data: Path) -> None:
     """Of the cascaded tanks of the nonlinear benchmark a delay of 64 s was said; they have none."""
-    path = data_folder() / "benchmarks" / "ct_test.csv"
+    path = public_data / "benchmarks" / "ct_test.csv"
     if not path.exists():
         pytest.skip("the benchmark is not there")
     found = sb.inspect(sb.read(path, inputs=["u"]))

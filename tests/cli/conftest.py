@@ -30,7 +30,7 @@ def model(workspace: Path) -> Path:
 @pytest.fixture(scope="session")
 def hybrid_model(workspace: Path) -> Path:
     out = workspace / "filtered"
-    line = f"fit {workspace}/record.csv --columns a --method filtered-gru --calibrate {QUICK}"
+    line = f"fit {workspace}/record.csv --columns a --method filtered-gru-calibrated {QUICK}"
     call(f"{line} --simulator {workspace}/simulated.csv", out)
     return out
 

@@ -1,11 +1,10 @@
 """Inputs that nobody would think of, for the file readers, the model loader and the command line.
 
     python -m tests.cli.fuzzing [--inputs 12000] [--seed N] [--out docs/benchmarks/fuzz.json]
-        [--atheris TARGET]
 
 Each target makes inputs, mostly sound ones that were damaged somewhere, and checks what comes of
 them: a result or an error that says what is wrong, soon, and no file beside the output touched.
-`test_fuzz.py` runs a few of them; with `--atheris` a target is driven by coverage without an end.
+`test_fuzz.py` runs a few of them.
 """
 
 from __future__ import annotations
@@ -19,16 +18,14 @@ import platform
 import random
 import shlex
 import signal
-import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
-from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 from unittest.mock import patch
 
 import numpy as np
@@ -249,7 +246,7 @@ _COMMANDS = (
 )
 _FLAGS = """
     --train --warmup --window --epochs --cutoff --order --downsampling --sampling-time --steps
-    --seeds --horizon --hidden --lr-milestones --columns --inputs --time-column --gaps --methods
+    --seeds --horizon --hidden --columns --inputs --time-column --gaps --methods
     --method --more --simulator --simulator-timeout --recipe --history --learning-rate --seed
     --like --nonsense"""
 _NAMES = """
@@ -333,13 +330,7 @@ def _run_all() -> None:
     parser.add_argument("--inputs", type=int, default=12_000)
     parser.add_argument("--seed", type=int, help="as printed by an earlier run; random if left out")
     parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/fuzz.json"))
-    parser.add_argument("--atheris", choices=[*TARGETS], help="needs pip install atheris")
     arguments = parser.parse_args()
-    if arguments.atheris:
-        atheris, one = import_module("atheris"), cast(Any, TARGETS[arguments.atheris])
-        atheris.Setup(sys.argv[:1], one.hypothesis.fuzz_one_input)
-        atheris.Fuzz()
-        return
     number = random.randrange(2**32) if arguments.seed is None else arguments.seed
     print(f"seed {number}", flush=True)
     found: dict[str, Any] = {}

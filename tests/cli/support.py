@@ -60,6 +60,14 @@ def hanging(time):
 
 def interrupted(time):
     raise KeyboardInterrupt
+
+
+def equation(t, x, u, p):
+    return [u[0] - x[0]]
+
+
+def driven(time, u):
+    return u[:, 0]
 """
 
 

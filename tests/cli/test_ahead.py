@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import splitband as sb
-from tests.cli.support import WARMUP, assert_fails, call, results
+from tests.cli.support import WARMUP, call, results
 
 pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
 
@@ -49,26 +49,6 @@ def test_one_method_is_fitted_for_some_samples_ahead(tmp_path: Path) -> None:
         assert f"windows of {WARMUP + 15}" in model.describe()
         assert model.held_out is not None
         assert model.held_out.ahead == 15
-
-
-@pytest.mark.parametrize(
-    ("asked", "parts"),
-    [
-        ("--ahead 5 --horizon 20", ["horizon and ahead exclude each other", "20 and 5"]),
-        ("--ahead 100", ["--ahead must be at most 38", "held-out", "got 100"]),
-        ("--ahead 0", ["--ahead", "greater than or equal to 1"]),
-    ],
-)
-def test_what_cannot_be_is_refused_in_a_line(
-    tmp_path: Path, asked: str, parts: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = f"compare record.csv --columns a --methods persistence {asked} --out {tmp_path}/out"
-    assert_fails(line, tuple(parts), capsys)
-
-
-def test_the_largest_number_that_a_message_names_is_taken(tmp_path: Path) -> None:
-    call("compare record.csv --columns a --methods persistence --ahead 38", tmp_path / "out")
-    assert results(tmp_path / "out")["recommended"] == "persistence"
 
 
 def test_one_sample_ahead_is_what_counts(

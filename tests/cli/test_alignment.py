@@ -16,7 +16,7 @@ from splitband.cli.printing import saying
 from splitband.cli.records import load_further, simulator_of
 from splitband.metrics import rmse
 from splitband.simulators.open_simulator import simulated
-from tests.cli.support import QUICK, assert_fails, call
+from tests.cli.support import QUICK, call
 from tests.records.support import SAMPLES, signal, times, write
 from tests.support import edit
 from tests.support import load_model as load
@@ -120,16 +120,6 @@ def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
     np.testing.assert_allclose(found.y_sim[: len(found)], found.y, atol=1e-3)
 
 
-def test_files_with_and_without_a_time_zone_are_refused(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    dates = pd.date_range("2024-05-01 10:00", periods=SAMPLES, freq="1s")
-    write(Path("record.csv"), dates, y=signal(times()))
-    write(Path("sim.csv"), dates.tz_localize("Europe/Berlin"), y=signal(times()))
-    says = ("must all have a time zone, or none: got 2024-05-01 10:0",)
-    assert_fails("inspect record.csv --simulator sim.csv", says, capsys)
-
-
 # ---------------------------------------------------------------- what is written
 
 
@@ -188,16 +178,6 @@ def test_inputs_to_come_follow_the_record_by_their_time_stamps(
     np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], driven(coming), atol=1e-5)
 
 
-@pytest.mark.parametrize("off", [20.0, -20.0, 0.1])
-def test_inputs_to_come_that_do_not_follow_the_record_are_refused(
-    driven: Callable[[Array], Array], off: float, capsys: pytest.CaptureFixture[str]
-) -> None:
-    time = times(44 + off, samples=60)
-    write(Path("coming.csv"), time, force=COMING[:60])
-    says = "coming.csv", "44 s to 47.9 s", f"{44 + off:g} s to"
-    assert_fails(f"{LINEAR} --future-inputs coming.csv", says, capsys)
-
-
 # ---------------------------------------------------------------- saved models
 
 
@@ -207,7 +187,7 @@ def late_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("late")
     (folder / "functions.py").write_text(FUNCTIONS)
     write(folder / "record.csv", times(20), y=signal(times(0)))
-    line = f"fit {folder}/record.csv --method filtered-gru --calibrate {QUICK}"
+    line = f"fit {folder}/record.csv --method filtered-gru-calibrated {QUICK}"
     call(f"{line} --simulator {folder}/{SLOW}", folder / "model")
     return folder / "model"
 

@@ -145,11 +145,11 @@ def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None
     line = (
         "compare record.csv --columns a,b --inputs force --methods euler-mlp,split-gru,persistence"
     )
-    how = "--seeds 2 --jobs 1 --lr-milestones 1:1e-4 --order 2 --cutoff 1"
+    how = "--seeds 2 --jobs 1 --learning-rate 1e-4 --order 2 --cutoff 1"
     call(f"{line} {QUICK} {how}", tmp_path)
     found = results(tmp_path)
     assert (found["record"]["columns"], found["record"]["inputs"]) == (["a", "b"], 1)
-    assert found["settings"]["settings"]["milestones"] == [[1, 1e-4]]
+    assert found["settings"]["settings"]["learning_rate"] == 1e-4
     assert (found["settings"]["cutoff"], found["settings"]["order"]) == (1.0, 2)
     held = [rms(*(y[n:] - y[n - 1] for y in (A, B))) for n in (WARMUP, TRAIN)]
     facts = found["methods"]["persistence"]

@@ -9,24 +9,13 @@ import scipy.signal
 
 import splitband as sb
 from splitband.simulators.open_simulator import open_simulator
-from tests.cli.support import assert_fails, call, results
+from tests.cli.support import call, results
 from tests.simulators.fmus import COMPILES, built
 
 DT, SAMPLES, TRAIN = 0.1, 160, 120
 TIME = DT * np.arange(SAMPLES)
 RNG = np.random.default_rng(0)
 VALVE, HEATER = (np.repeat(RNG.uniform(-1, 1, SAMPLES // 8), 8) for _ in range(2))
-FUNCTIONS = """
-from scipy.signal import lsim
-
-
-def plant(time, u):
-    return lsim(([1.0], [1.0, 1.0]), u[:, 0], time, interp=False)[1]
-
-
-def equation(t, x, u, p):
-    return [u[0] - x[0]]
-"""
 
 needs_gcc = pytest.mark.skipif(not COMPILES, reason="no gcc to compile an FMU with")
 
@@ -42,7 +31,6 @@ def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frame[:TRAIN].to_csv("past.csv", index=False)
     frame[TRAIN:].to_csv("ahead.csv", index=False)
     frame.rename(columns={"valve": "opening"}).to_csv("other.csv", index=False)
-    Path("sim.py").write_text(FUNCTIONS)
 
 
 def fmu() -> Path:
@@ -101,17 +89,3 @@ def test_a_plant_compares_and_simulates_without_error(
     for file in ("ahead-sim.csv", "forecast/forecast.csv"):
         said = pd.read_csv(tmp_path / file)["level"]
         np.testing.assert_allclose(said, pd.read_csv("ahead.csv")["level"], atol=1e-6)
-
-
-def test_a_function_of_time_and_inputs_is_driven(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig = "inspect rig.csv --inputs valve --columns level --simulator sim.py:"
-    call(f"{rig}plant", tmp_path)
-    assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
-    assert "runs from 0 s on, at the record's first sample, 1700000000 s" in capsys.readouterr().out
-    for wrong, says in (
-        ("equation", "--parameters must say where the states"),
-        ("plant --simulator-start noon", "start must be a number of seconds"),
-    ):
-        assert_fails(f"{rig}{wrong} --out out", (says,), capsys)

@@ -40,15 +40,15 @@ def test_intervals_are_saved_where_they_are_asked_for(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected.to_frame())
 
 
-def test_a_split_model_is_trained_on_windows_of_the_filtered_record(tmp_path: Path) -> None:
-    how = "--window 40 --warmup 10 --epochs 1 --cutoff 1 --downsampling 2 --own-warmup no"
+def test_a_split_model_has_the_bands_and_the_windows_that_are_asked_for(tmp_path: Path) -> None:
+    how = "--window 40 --warmup 10 --epochs 1 --cutoff 1 --downsampling 2"
     call(f"fit record.csv --columns a --method split-gru --train 120 {how}", tmp_path / "model")
     found = sb.load(tmp_path / "model")
     assert isinstance(found, sb.Split)
     settings = replace(sb.TrainingSettings.of(120), window=40, warmup=10, epochs=1)
     low, high = found.low, found.high
     bands = sb.Bands(1, found.bands.order, 2)
-    same = sb.Split(low, high, bands, settings=settings, own_warmup=False)
+    same = sb.Split(low, high, bands, settings=settings)
     same.fit(sb.read("record.csv", columns="a")[:120], seed=0)
     np.testing.assert_array_equal(found.predict(20).y, same.predict(20).y)
 
@@ -72,17 +72,6 @@ def test_what_a_deadline_has_changed_is_said_and_stored(
     call("fit record.csv --columns a --method mean --budget 1m", tmp_path)
     assert "warning: results are of three quarters of it" in capsys.readouterr().out
     assert results(tmp_path)["notes"] == ["results are of three quarters of it"]
-
-
-def test_fit_sees_the_training_samples_only(model: Path, tmp_path: Path) -> None:
-    pd.read_csv("record.csv").assign(a=lambda t: t["a"].where(t.index < 100, 50.0)).to_csv(
-        tmp_path / "other.csv", index=False
-    )
-    for name in ("record.csv", str(tmp_path / "other.csv")):
-        line = f"fit {name} --columns a --method split-gru --train 100 {QUICK}"
-        call(line, tmp_path / Path(name).stem)
-    one, other = (next((tmp_path / name).glob("weights-*")) for name in ("record", "other"))
-    assert one.read_bytes() == other.read_bytes()
 
 
 def test_inputs_that_are_a_matrix_are_known_by_their_columns(tmp_path: Path) -> None:

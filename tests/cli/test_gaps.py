@@ -116,15 +116,6 @@ def test_fit_and_simulate_go_around_gaps(
     np.testing.assert_allclose(table[["a", "b"]], expected, rtol=1e-6, atol=1e-7)
 
 
-def test_forecast_goes_on_from_a_record_that_ends_in_a_gap(tmp_path: Path) -> None:
-    line = "forecast ended.csv --gaps mask --columns a --steps 7 --method mean"
-    call(line, tmp_path / "out")
-    assert results(tmp_path / "out")["record"]["gaps"] == len(BAD_ROWS)
-    table = written(tmp_path / "out" / "forecast.csv")
-    np.testing.assert_allclose(table["time"], DT * np.arange(166, 173))
-    np.testing.assert_allclose(table["a"], np.nanmean(SEEN[:166]), atol=1e-3)
-
-
 HYBRID = f"--columns a --simulator whole.csv --method residual-gru {QUICK} --out out"
 
 
@@ -172,8 +163,3 @@ def test_the_columns_of_further_records_go_by_name(tmp_path: Path) -> None:
     assert found == expected
     # One is called y, as a single column is.
     call("fit named.csv --more named.csv --columns y --method mean", tmp_path / "named")
-
-
-def test_the_range_of_a_model_is_that_of_all_its_records(tmp_path: Path) -> None:
-    call(f"fit whole.csv --more wide.csv --columns a --method gru {QUICK}", tmp_path)
-    assert results(tmp_path)["range"] == [[10 * A.min()], [10 * A.max()]]

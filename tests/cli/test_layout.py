@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.support import call, results
+from tests.cli.support import call
 
 LOGGER = "Logger X1\nRate,100 Hz,1\nDate,Time,force,x\n,,N,mm\n"
 OPTIONS = "--missing Bad,-- --gaps mask"
@@ -33,13 +33,3 @@ def test_the_record_of_a_logger(logger: Path, capsys: pytest.CaptureFixture[str]
     given = "--inputs force --time-column Date,Time --header-row 3 --skip-rows 14"
     call(f"fit logger.csv --method mean {given} {OPTIONS}", logger / "b")
     assert "110 samples every 1 s" in capsys.readouterr().out
-
-
-def test_a_model_is_used_on_files_of_the_logger(
-    logger: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    call(f"fit logger.csv --inputs force {OPTIONS} --method linear --train 90", logger / "model")
-    call(f"check model --record logger.csv {OPTIONS}", logger / "checked")
-    assert results(logger / "checked")
-    call("simulate model --steps 10 --future-inputs logger.csv --missing Bad --out ahead.csv")
-    assert (logger / "ahead.csv").read_text().count("\n") == 11

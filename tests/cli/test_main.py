@@ -113,20 +113,6 @@ def test_an_export_says_how_to_begin_elsewhere(
         assert said in " ".join(capsys.readouterr().out.split())
 
 
-def test_the_doctor_finds_a_record_that_is_not_the_published_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    damaged = tmp_path / sb.records.public.PUBLIC["drill_string_sim"].path
-    damaged.parent.mkdir(parents=True)
-    damaged.write_text("1\n2\n")
-    monkeypatch.setenv("SPLITBAND_DATA_DIR", str(tmp_path))
-    monkeypatch.setattr("splitband.cli.doctor.every_kernel", list)
-    call("doctor --json")
-    found = json.loads(capsys.readouterr().out)["public records"]
-    assert "is not the published drill_string_sim" in found["drill_string_sim"]
-    assert found["drill_string_data"] == "not downloaded: splitband data --fetch"
-
-
 def test_quiet_prints_nothing_but_errors_and_writes_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

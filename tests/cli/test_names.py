@@ -1,17 +1,13 @@
 """Commands know columns and inputs by name, and say which these are."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
-import splitband as sb
 from splitband.cli.options import RecordOptions, names
 from splitband.cli.requests import Request, planned
-from tests.cli.support import DT, FORCE, SAMPLES, assert_fails, call, results
+from tests.cli.support import DT, SAMPLES, call, results
 
 pytestmark = pytest.mark.usefixtures("inside")
 
@@ -36,26 +32,6 @@ def test_a_column_with_a_comma_stands_in_double_quotes(tmp_path: Path) -> None:
     record = planned(Request(f"{tmp_path}/rig.csv", given, methods="mean")).record
     assert record.columns == ("a, measured", "b")
     assert names('force  (N), ,"x"') == ["force  (N)", "x"]
-
-
-def test_a_history_of_other_names_is_refused_by_command_and_in_python(
-    driven_model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = "simulate driven --history history_renamed.csv --steps 3 --out x.csv"
-    says = "'time', 'z', 'b', 'force'", "the model is for inputs: force; outputs: a"
-    assert_fails(f"{line} --future-inputs future.csv", says, capsys)
-
-    forecaster, coming = sb.load(driven_model), FORCE[50:53, None]
-    known = sb.read("history.csv", columns="a", inputs="force")
-    others: tuple[tuple[dict[str, Any], str], ...] = (
-        ({"columns": ("temp",)}, "training record, a, got temp"),
-        ({"inputs": ("rpm",)}, "training record, force, got rpm"),
-    )
-    for other, both in others:
-        with pytest.raises(ValueError, match=both):
-            forecaster.predict(3, replace(known, **other), coming)
-    nameless = forecaster.predict(3, sb.Record(known.y, DT, u=known.u, start=0.0), coming)
-    np.testing.assert_allclose(nameless.y, forecaster.predict(3, known, coming).y)
 
 
 def test_every_record_is_announced_and_what_is_left_out_is_named(

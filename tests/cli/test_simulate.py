@@ -9,8 +9,7 @@ import pytest
 from splitband import read
 from splitband.models import FilteredModel
 from splitband.simulators.calibration import Calibration
-from tests.cli.support import DT, FORCE, SAMPLES, SIMULATED, SLOW, WARMUP, A, call, results, written
-from tests.signals import rms
+from tests.cli.support import DT, FORCE, SIMULATED, WARMUP, A, call, results, written
 from tests.support import load_model as load
 from tests.support import simulated
 
@@ -89,14 +88,3 @@ def test_forecast_goes_on_from_the_end_of_a_record(
     assert found["recommended"] == min(errors, key=errors.__getitem__) == "harmonic"
     assert (found["command"], found["arguments"]["steps"]) == ("forecast", 50)
     np.testing.assert_allclose(table["a"], A[150:], atol=1e-4)  # the record is two sinusoids
-
-
-def test_forecast_asks_a_simulator_for_what_is_to_come(tmp_path: Path) -> None:
-    line = "forecast record.csv --columns a --steps 30 --method simulator-affine"
-    call(f"{line} --simulator functions.py:good", tmp_path)
-    time = DT * np.arange(SAMPLES, SAMPLES + 30)
-    good = 0.8 * np.sin(2 * np.pi * 0.3 * time + 0.2) + 0.3
-    found = written(tmp_path / "forecast.csv")["a"]
-    assert rms(found - np.sin(2 * np.pi * SLOW * time)) < rms(
-        good - np.sin(2 * np.pi * SLOW * time)
-    )

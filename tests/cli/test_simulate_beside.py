@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from pathlib import Path
 
@@ -70,29 +69,3 @@ def test_the_file_stands_for_the_simulator(what: str) -> None:
         Path(each).unlink()
     line = f"fit rig.csv {columns} --method simulator-calibrated --simulator ran.csv --out model"
     assert main(shlex.split(line)) == 0
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("", "MODEL_DIR must be given, or --record and --simulator"),
-        ("--record rig.csv", "--record and --simulator: .* got --record rig.csv, --simulator none"),
-        ("--simulator rig.py:alone", "got --record none, --simulator rig.py:alone"),
-        ("--record rig.csv --simulator linear", "which is a baseline"),
-        ("--record rig.csv --simulator rig.py:alone --level 0.9", "--level must be left out"),
-        (
-            "--record rig.csv --inputs u --simulator rig.py:driven --steps 5",
-            r"steps \(--steps\) must be left out .* as they end with it; got 5",
-        ),
-        ("model --record rig.csv", "--record must be left out with MODEL_DIR, got rig.csv"),
-        ("model --columns y", "--columns must be left out with MODEL_DIR, got y"),
-        ("model", "--steps must be given"),
-    ],
-)
-def test_what_it_cannot_do_is_said(
-    line: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(shlex.split(f"simulate {line} --out ran.csv")) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert re.search(message, said), said
-    assert not Path("ran.csv").exists()

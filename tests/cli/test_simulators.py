@@ -29,9 +29,9 @@ def test_the_columns_of_an_exported_trajectory_go_by_name_or_as_asked(
 def test_python_takes_what_the_command_line_names(simulator: str) -> None:
     reading, methods = RecordOptions(columns="a", inputs=""), ["filtered-gru", "mean"]
     asked = Request("record.csv", reading, SimulatorOrBaseOptions(simulator))
-    asked = replace(asked, methods=",".join(methods), calibrate=simulator != "periodic")
+    asked = replace(asked, methods=",".join(methods))
     record = sb.read("record.csv", columns="a")
-    found = plan(PlanRequest(record, None, methods, simulator=simulator, calibrate=asked.calibrate))
+    found = plan(PlanRequest(record, None, methods, simulator=simulator))
     expected = planned(asked)
     assert found.names == expected.names
     assert found.bands.cutoff == expected.bands.cutoff
@@ -46,8 +46,9 @@ def test_a_named_record_runs_its_own_simulator_for_a_calibration() -> None:
 
 
 def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(tmp_path: Path) -> None:
-    line = f"compare record.csv --columns a --simulator simulated.csv --calibrate {QUICK} --seeds 1"
-    call(f"{line} --methods residual-gru,simulator,simulator-affine --jobs 1", tmp_path)
+    line = f"compare record.csv --columns a --simulator simulated.csv {QUICK} --seeds 1"
+    methods = "residual-gru,residual-gru-calibrated,simulator,simulator-affine"
+    call(f"{line} --methods {methods} --jobs 1", tmp_path)
     found = results(tmp_path)["methods"]
     gain, offset = np.polyfit(SIMULATED[:TRAIN], A[:TRAIN], 1)
     for name, y in (("simulator", SIMULATED), ("simulator-affine", gain * SIMULATED + offset)):

@@ -5,18 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
-import pytest
 
 import splitband as sb
-from splitband.cli import main
 from splitband.cli.usage import usage
 from splitband.comparison.methods import named
 from splitband.comparison.plan import Plan
 
 GIVEN: dict[str, Any] = {"record": "my rig.csv", "inputs": "force", "columns": None, "gaps": "mask"}
 GIVEN |= {"test": ["later.csv"], "more": ["a.csv", "b.csv"], "train": 150, "out": "out"}
-GIVEN |= {"methods": "gru,linear", "calibrate": True, "cutoff": "auto", "hidden": 8}
+GIVEN |= {"methods": "gru,linear", "refit": True, "cutoff": 1.0, "hidden": 8}
 GIVEN |= {"recipe": "default", "device": "cuda", "budget": "1m"}
 OUT = Path("out")
 
@@ -49,7 +46,7 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     )
     assert "sb.load('out/model')" in python
     assert "u=u" in python
-    assert "--calibrate" in found.asked
+    assert "--refit" in found.asked
     assert "--test later.csv" in found.asked
 
 
@@ -85,68 +82,3 @@ def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
     assert "--future-inputs overhead-crane" in simulate
     assert command.startswith("splitband fit overhead-crane --method harmonic")
     assert found.asked == "splitband demo --out demo"
-
-
-@pytest.fixture(scope="module")
-def plant(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Records of a plant with an input, and a linear model of them."""
-    folder = tmp_path_factory.mktemp("usage")
-    u = np.random.default_rng(0).standard_normal(400)
-    table = pd.DataFrame({"time": 0.1 * np.arange(400), "u": u, "y": 0.5 * np.roll(u, 1)})
-    for name, part in (("a.csv", table[:200]), ("b c.csv", table[200:])):
-        part.to_csv(folder / name, index=False)
-    sb.Linear().fit(sb.read(folder / "a.csv", inputs=["u"])).save(folder / "model")
-    return folder
-
-
-FIT = "fit a.csv --inputs u --method linear --out fitted"
-SIMULATE = "simulate model --steps 5 --future-inputs 'b c.csv' --out ahead.csv"
-
-
-@pytest.mark.usefixtures("drawn")
-@pytest.mark.parametrize(
-    ("line", "meant"),
-    [
-        ("check model 'b c.csv'", "check model --record 'b c.csv'"),
-        ("check model --recrod='b c.csv'", "check model '--record=b c.csv'"),
-        ("check --model-dir model --record 'b c.csv'", "check model --record 'b c.csv'"),
-        (f"{FIT} 'b c.csv'", f"{FIT} --more 'b c.csv'"),
-        (f"{FIT} --colums y", f"{FIT} --columns y"),
-        (f"{SIMULATE} a.csv", f"{SIMULATE} --history a.csv"),
-        ("export model --out rig.c", "export model rig.c"),
-        (f"{FIT} nothing.csv", None),
-        (f"{FIT} --order", None),
-        (f"{FIT} a.csv 'b c.csv'", None),
-        (f"{FIT} --frobnicate 3", None),
-        ("check model", None),
-        ("simulate model a.csv", None),  # --steps is missing, too
-    ],
-)
-def test_the_corrected_command_that_an_error_shows_runs(
-    line: str,
-    meant: str | None,
-    plant: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(plant)
-    assert main(shlex.split(line)) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert ("Did you mean: " in said) == (meant is not None)
-    shown = said.strip().partition("Did you mean: splitband ")[2]
-    if meant:
-        assert shown == meant
-        assert main(shlex.split(shown)) == 0
-
-
-def test_a_file_that_may_belong_to_two_options_is_shown_with_both(
-    plant: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(plant)
-    line = "compare a.csv --inputs u --methods linear,mean --out out"
-    assert main([*shlex.split(line), "b c.csv"]) == 2
-    both = capsys.readouterr().err.strip().partition("Did you mean: ")[2].split(", or: ")
-    assert both == [f"splitband {line} {option} 'b c.csv'" for option in ("--more", "--test")]
-    for command in both:
-        assert main(shlex.split(command)[1:]) == 0

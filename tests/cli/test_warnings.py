@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import scipy
 
-from splitband.cli import main, printing
+from splitband.cli import printing
 from tests.cli.support import call, results
 
 N = 2000
@@ -96,21 +96,6 @@ def test_inputs_to_come_of_an_angle_go_on_after_the_record(sea: Path) -> None:
     call("simulate m --steps 100 --future-inputs all.csv", sea / "ahead.csv")
     found = pd.read_csv("ahead.csv")["drift"]
     np.testing.assert_allclose(found, table["drift"][1900:], atol=1)
-
-
-@pytest.mark.parametrize(
-    ("option", "said"),
-    [
-        ("--unwrap heading=turn", "--unwrap must be NAME or NAME=PERIOD, got heading=turn"),
-        ("--unwrap speed", "must give the period of 'speed'"),
-        ("--unwrap yaw=360", "unwrap must name one of"),
-    ],
-)
-def test_what_cannot_be_unwrapped_is_refused(
-    sea: Path, option: str, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(shlex.split(f"{COMPARE} {option} --out {sea / 'out'}")) == 2
-    assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("verbose", [False, True])

@@ -143,25 +143,6 @@ def test_compare_has_a_row_for_what_could_not_be_fitted(
     assert not pd.read_csv(tmp_path / "out" / "predictions.csv").filter(like="mean").size
 
 
-@pytest.mark.usefixtures("broken_mean")
-def test_forecast_takes_another_method_than_one_that_failed(
-    tmp_path: Path,
-    files: Callable[[str], list[str]],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(
-        "splitband.comparison.defaults.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
-    )
-    assert main(files("forecast begun.csv --steps 50")) == 0
-    assert "mean: no result: SVD did not converge" in capsys.readouterr().out
-    found = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert found["recommended"] == CALIBRATED
-    assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
-    table = pd.read_csv(tmp_path / "out" / "forecast.csv")
-    np.testing.assert_allclose(table["y"], RECORD.y[TRAIN : TRAIN + 50, 0], atol=1e-3)
-
-
 class Growing(Forecaster):
     """It has the inputs as outputs, and an error that grows as of an unstable model."""
 

@@ -144,15 +144,6 @@ def test_what_was_not_compared_is_not_handed_out() -> None:
         compared().trained("linear")
 
 
-def test_the_parts_of_a_median_over_seeds_add_up_to_it() -> None:
-    median, runs = compared().medians["split-gru"], compared().fits["split-gru"]
-    assert len(runs) == 3
-    assert median.forecast is not None
-    for each in (median.from_start, median.forecast):
-        assert sorted(each.components) == ["high band", "low band"]
-        np.testing.assert_allclose(sum(each.components.values()), each.y, atol=1e-12)
-
-
 def test_reasons_to_doubt_one_seed_are_reasons_to_doubt_the_median() -> None:
     first, second, _ = (fit.from_start for fit in compared().fits["gru"])
     median = median_of([replace(first, warnings=("a", "b")), replace(second, warnings=("b", "c"))])

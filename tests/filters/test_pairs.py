@@ -9,7 +9,6 @@ import scipy.signal
 import torch
 from hypothesis import example, given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from torch import Tensor
 
 from splitband.filters import ComplementaryPair, Start
@@ -20,15 +19,12 @@ from tests.filters.support import (
     ONE_WAY,
     ORDERS,
     RATE,
-    SMALLEST,
     TIGHT,
     noise,
     scipy_both_ways,
     scipy_one_way,
     tensor,
 )
-
-values = st.floats(-10, 10, width=64)
 
 
 def rounding(b: Array, a: Array, x: Array) -> float:
@@ -93,22 +89,6 @@ def test_gradients_of_combine_reach_both_bands_and_first() -> None:
     inputs = tuple(tensor(*s, seed=i).requires_grad_() for i, s in enumerate(shapes))
     assert torch.autograd.gradcheck(run, inputs)
     assert torch.autograd.gradgradcheck(run, inputs)
-
-
-@given(
-    x=hnp.arrays(np.float64, (25, 2), elements=values),
-    z=hnp.arrays(np.float64, (25, 2), elements=values),
-    scale=values,
-    order=st.integers(1, 6),
-    zero_phase=st.booleans(),
-)
-def test_a_pair_is_linear(x: Array, z: Array, scale: float, order: int, zero_phase: bool) -> None:
-    pair = ComplementaryPair.butterworth(CUTOFF, RATE, order, zero_phase)
-    tolerance = SMALLEST + TIGHT * (abs(x).max() + abs(scale * z).max())
-    for part in (pair.lowpass, pair.highpass):
-        np.testing.assert_allclose(
-            part(x + scale * z), part(x) + scale * part(z), atol=tolerance, rtol=0
-        )
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -10,16 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 from splitband import Record
 from splitband.runtime.arrays import Array
-from tests.signals import (
-    DT,
-    NAN,
-    SETUP,
-    TRAIN,
-    holed,
-    record,
-    with_gaps,
-)
-from tests.support import compare
+from tests.signals import DT, NAN, TRAIN, holed, record, with_gaps
 
 gappy = hnp.arrays(
     np.float64,
@@ -83,8 +74,3 @@ def test_a_filler_across_the_end_of_a_slice_knows_nothing_of_later_samples() -> 
     later[TRAIN + 5 :] += 1000
     first, other = (with_gaps(each)[:TRAIN] for each in (y, later))
     np.testing.assert_array_equal(first.y, other.y)
-    methods = ["mean", "persistence", "seasonal-naive"]
-    found = [compare(with_gaps(each), methods, SETUP) for each in (y, later)]
-    for method in methods:
-        a, b = (each.fits[method][0].ahead for each in found)
-        np.testing.assert_array_equal(a, b)

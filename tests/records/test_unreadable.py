@@ -10,7 +10,7 @@ import pytest
 from splitband.records import (
     read,
 )
-from tests.records.support import U, Y, message, saved, text_file
+from tests.records.support import U, message, saved, text_file
 
 
 @pytest.mark.parametrize(
@@ -101,15 +101,6 @@ def test_files_that_are_something_else(tmp_path: Path, suffix: str, content: byt
     path = text_file(tmp_path, content, f"record.{suffix}")
     kind = {"parquet": "Parquet", "pq": "Parquet"}.get(suffix, suffix.upper())
     assert f"cannot be read as {kind}: " in message(path, sampling_time=1)
-
-
-@pytest.mark.parametrize("name", ["r.parquet", "r.npz", "r.mat", "r.npy"])
-@pytest.mark.parametrize("kept", [0.1, 0.5, 0.95])
-def test_truncated_files(tmp_path: Path, name: str, kept: float) -> None:
-    path = saved(tmp_path / name, y=Y)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(kept * len(whole))])
-    assert "cannot be read as" in message(path, sampling_time=1)
 
 
 def test_objects_are_not_unpickled(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Files appear whole or not at all."""
 
-import errno
 import json
 import os
 import stat
@@ -9,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from splitband.runtime.files import output_folder, replacing, write_json, write_text
+from splitband.runtime.files import replacing, write_json, write_text
 
 OLD, NEW = "old content", "new content"
 
@@ -98,16 +97,6 @@ def test_the_file_has_the_permissions_of_any_new_file(path: Path, mask: int) -> 
     assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
 
 
-def test_the_mask_of_the_process_is_not_touched(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A thread that writes a file at the same time would make it writable to everybody."""
-    asked = list[int]()
-    monkeypatch.setattr(os, "umask", asked.append)
-    write_json(path, {})
-    assert not asked
-
-
 def test_json_is_written_as_it_was(path: Path) -> None:
     value = {"rmse": 0.1, "nested": [1, None, True, {"Ω": "5 °"}]}
     write_json(path, value)
@@ -132,41 +121,3 @@ def test_json_refuses_what_it_lacks_and_keeps_the_old_file(
         write_json(path, value)
     assert path.read_text() == OLD
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_json_cut_short_by_a_full_disk_keeps_the_old_file(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path.write_text(OLD)
-    written = Path.write_bytes
-
-    def cut_short(self: Path, data: bytes) -> int:
-        written(self, data[:5])
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Path, "write_bytes", cut_short)
-    with pytest.raises(OSError, match="No space left"):
-        write_json(path, {"rmse": 0.1})
-    assert path.read_text() == OLD
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_an_output_folder_is_made_with_its_parents_and_keeps_what_it_holds(tmp_path: Path) -> None:
-    wanted = tmp_path / "a" / "b"
-    assert output_folder(str(wanted)) == wanted
-    assert list(wanted.iterdir()) == []
-    (wanted / "kept.txt").write_text(OLD)
-    output_folder(wanted)
-    assert (wanted / "kept.txt").read_text() == OLD
-
-
-@pytest.mark.parametrize("below", ["", "folder", "deep/er"])
-def test_an_output_folder_at_or_below_a_regular_file_is_named(tmp_path: Path, below: str) -> None:
-    file = tmp_path / "file.txt"
-    file.write_text(OLD)
-    wanted = file / below
-    with pytest.raises(ValueError, match="folder must be a folder that can be written") as caught:
-        output_folder(wanted)
-    assert f"got {wanted}: " in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert file.read_text() == OLD

@@ -1,6 +1,5 @@
 """Simulators against closed forms and solvers; what `run` checks, gives up on and keeps."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -108,27 +107,6 @@ def test_an_ode_that_blows_up_says_when() -> None:
     with pytest.raises(ValueError, match=r"Ode failed.*RK45, stopped before t = 1.05 s") as caught:
         run(Ode(lambda _, x: x**2, [1.0]), SAMPLES, DT)
     assert "\n" not in str(caught.value)
-
-
-RATE = 1.0
-
-
-def falls(t: float, x: Array) -> list[float]:
-    return [-RATE * x[0]]
-
-
-@pytest.mark.filterwarnings("ignore:the equation partial is solved in Python")
-def test_a_compiled_equation_sees_what_its_globals_become(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is compiled after some ten thousand steps; numba keeps the values of globals."""
-    grid: Array = 0.001 * np.arange(20001.0)
-    called = Ode(falls, [1.0]), Ode(partial(lambda rate, t, x: [-rate * x[0]], 1.0), [1.0])
-    for model in called:
-        for _ in range(3):
-            found = np.ravel(model.simulate(grid))
-        np.testing.assert_allclose(found[1000], np.exp(-1), rtol=1e-5)
-    monkeypatch.setitem(globals(), "RATE", 2.0)
-    for model in (called[0], Ode(falls, [1.0])):
-        np.testing.assert_allclose(np.ravel(model.simulate(grid))[1000], np.exp(-2), rtol=1e-5)
 
 
 def test_a_single_sample_is_the_initial_state() -> None:

@@ -48,7 +48,7 @@ class SimulatorCheck:
         by = self.calibrated
         then = "the same" if by.nothing_to_learn else "there is something to learn"
         return [
-            f"{self.training.describe()}; with the simulator calibrated (--calibrate) "
+            f"{self.training.describe()}; with the simulator calibrated (-calibrated) "
             f"{by.no_network:.3g} and {by.perfect_network:.3g}: {then}"
         ]
 

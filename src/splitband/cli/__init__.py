@@ -56,20 +56,6 @@ class Plain:
 class LockedCommand(Plain, typer.core.TyperCommand):
     """A command that runs only if its --out replaces no input and is not in use."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        """Parse the words of the command; an error shows the command that may be meant."""
-        given = [*args]
-        try:
-            return super().parse_args(ctx, args)
-        except TyperException as error:
-            from splitband.cli.usage import corrected  # noqa: PLC0415  which loads what runs need
-
-            if not (meant := corrected(ctx, given)):
-                raise
-            said, _, _ = error.format_message().partition(" (Possible")
-            asked = f"{said.removesuffix('.')}. Did you mean: {', or: '.join(meant)}"
-            raise TyperException(asked) from error
-
     def invoke(self, ctx: Any) -> Any:
         """Run the command; bad input is told with its options in place of arguments' names."""
         from splitband.cli import output  # noqa: PLC0415  which loads what commands need

@@ -50,8 +50,7 @@ def compare(
     The training settings of networks are searched round by round until --budget is over. After
     every round there is a table, and OUT/model is the best model so far. Ctrl-C stops early and
     keeps it. --rounds limits the work instead of the time. --window, --epochs, --learning-rate,
-    --lr-milestones, --recipe constant-rate and --like replace the search. --calibrate and
-    --conditioned add methods.
+    --recipe constant-rate and --like replace the search.
     """
     if skip_done and (done := finished_comparison(out)) is not None:
         printing.console.print(

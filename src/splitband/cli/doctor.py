@@ -10,10 +10,7 @@ from rich.table import Table
 
 from splitband.cli import printing
 from splitband.comparison.jobs import every_kernel
-from splitband.records import PUBLIC, fetch
-from splitband.records.public import data_folder
 from splitband.report.environment import environment
-from splitband.runtime.errors import InputError
 from splitband.runtime.optional import HOW, has_torch
 from splitband.runtime.system import available_cores
 from splitband.runtime.workers import Workers, result_of
@@ -33,11 +30,10 @@ EXTRAS = {
 
 
 def doctor() -> None:
-    """Show versions, cores, accelerators, public records, compiled kernels and extras.
+    """Show versions, cores, accelerators, compiled kernels and extras.
 
     The first call after an installation compiles all kernels, which takes about a minute;
-    comparisons then start at once. Nothing is downloaded: `splitband data --fetch` stores the
-    public records.
+    comparisons then start at once.
     """
     found = environment()
     facts = {
@@ -45,7 +41,6 @@ def doctor() -> None:
         "machine": found["machine"],
         "cores": available_cores(),
         **(_of_torch() if has_torch() else {"networks": f"none without torch: {HOW}"}),
-        "public records": {name: _state(name) for name in PUBLIC} | {"folder": str(data_folder())},
         "kernels": _kernels(),
         "extras": {
             extra: "installed"
@@ -70,18 +65,6 @@ def _of_torch() -> dict[str, Any]:
     named = [f"cuda:{i} {name}" for i, name in enumerate(names)]
     found = ", ".join(named) or "none; --device cpu"
     return {"threads": torch.get_num_threads(), "accelerators": found}
-
-
-def _state(name: str) -> str:
-    """Return whether a public record has been downloaded and is intact; nothing is downloaded."""
-    folder = data_folder()
-    if not (folder / PUBLIC[name].path).is_file():
-        return "not downloaded: splitband data --fetch"
-    try:
-        fetch(name, folder)
-    except (InputError, OSError) as error:
-        return str(error)
-    return "downloaded"
 
 
 def _kernels() -> str:

@@ -49,8 +49,6 @@ def fit(
     ] = None,
     train: Annotated[int | None, options.plain("Train on the first N samples.", "N", "all")] = None,
     ahead: options.Ahead = None,
-    calibrate: options.Calibrate = False,
-    conditioned: options.Conditioned = False,
     intervals: Annotated[
         bool,
         options.plain(
@@ -74,7 +72,7 @@ def fit(
             "them, and --like takes that of an earlier result; got none"
         )
     asked = Request(record, reading, simulator, further, model=model, methods=method, like=like)
-    asked = replace(asked, train=train, ahead=ahead, calibrate=calibrate, conditioned=conditioned)
+    asked = replace(asked, train=train, ahead=ahead)
     plan = planned(asked, context, fitting=True)
     with workers(jobs) as where, running(plan, out) as how, _bar() as progress:
         forecaster = fit_planned(plan, **where, **how, progress=progress)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import csv
 import inspect
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -132,15 +131,6 @@ def seconds(duration: str, option: str = "--budget") -> float:
     return length
 
 
-def milestones(text: str) -> tuple[tuple[int, float], ...]:
-    """Return the pairs of --lr-milestones."""
-    try:
-        pairs = [part.split(":") for part in names(text)]
-        return tuple((int(epoch), float(rate)) for epoch, rate in pairs)
-    except ValueError:
-        raise InputError(f"--lr-milestones must be EPOCH:RATE,EPOCH:RATE,..., got {text}") from None
-
-
 def hidden(text: str) -> tuple[int, int]:
     """Return the two sizes of --hidden, that of the low band first."""
     try:
@@ -152,38 +142,18 @@ def hidden(text: str) -> tuple[int, int]:
     return low, high
 
 
-def _or_auto(kind: type[float] | type[int], what: str) -> Callable[[str], Any]:
-    """Return a parser of numbers that turns auto into None, for which a number is chosen."""
+def _number_or(word: str, kind: type[float] | type[int], what: str) -> Callable[[str], Any]:
+    """Return a parser of numbers that leaves one word as it is."""
 
-    def parsed(value: str) -> float | None:
-        if value == "auto":
-            return None
+    def parsed(value: str) -> float | str:
         try:
-            number = kind(value)
+            return word if value == word else kind(value)
         except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            raise typer.BadParameter(f"must be {what} or auto")
-        return number
+            raise typer.BadParameter(f"must be {what} or {word}") from None
 
     return parsed
 
 
-def _training_samples(value: str) -> int | Literal["all"]:
-    """Return the number of --train, or "all"."""
-    try:
-        return "all" if value == "all" else int(value)
-    except ValueError:
-        raise typer.BadParameter("must be a whole number of samples or all") from None
-
-
-def _grid_step(value: str) -> float | Literal["auto"]:
-    """Return the number of --step, or "auto"."""
-    return _or_auto(float, "a number of seconds")(value) or "auto"
-
-
-_hertz = _or_auto(float, "a frequency in Hz")
-_samples = _or_auto(int, "a whole number of samples")
 _record, _simulator = _fields("Record"), _fields("Simulator")
 _TIMES = ", ".join(TIME_NAMES)
 _filter, _training = _fields("Filter"), _fields("Training")
@@ -215,7 +185,7 @@ Train = Annotated[
         "their held-out errors alone.",
         "N|all",
         "three quarters; with --test, all",
-        parser=_training_samples,
+        parser=_number_or("all", int, "a whole number of samples"),
     ),
 ]
 History = Annotated[
@@ -241,17 +211,13 @@ FutureInputs = Annotated[
         "FILE",
     ),
 ]
-Calibrate = Annotated[
-    bool, panel("Simulator")("Fit the simulator's gain, offset, delay and clock first.")
-]
 Cutoff = Annotated[
     float | None,
-    _FILTER("Cut-off frequency between the two bands.", "HZ|auto", "auto", parser=_hertz),
+    _FILTER("Cut-off frequency between the two bands.", "HZ", "found from the record"),
 ]
 Order = Annotated[
     int | None, _FILTER("Order of each Butterworth filter.", "N", "1 or 2, with the cut-off")
 ]
-Conditioned = Annotated[bool, _FILTER("Give networks the prediction of the low band as an input.")]
 Epochs = Annotated[
     int | None, _TRAINING("Passes over all training windows.", "N", "about 1,000 steps")
 ]
@@ -327,7 +293,7 @@ class FileOptions:
         "`auto` takes the usual step of the record.",
         "SECONDS|auto",
         "as measured",
-        parser=_grid_step,
+        parser=_number_or("auto", float, "a number of seconds"),
     )
     hold: str | None = _record(
         "Inputs that hold their last value between samples and in gaps; others are interpolated.",
@@ -473,9 +439,6 @@ class SimulatorOptions:
     unknown_odd: bool = _simulator(
         "Unknown terms are odd functions, as friction is.", default=False
     )
-    unknown_increasing: bool = _simulator(
-        "Unknown terms increase with each of their arguments.", default=False
-    )
 
 
 @dataclass(frozen=True)
@@ -495,24 +458,16 @@ class ModelOptions:
         "Keep every K-th sample of the low band.", "K", "as the low band allows"
     )
     warmup: int | None = _training(
-        "Measured samples from which a simulation starts.", "R|auto", "up to 50", parser=_samples
+        "Measured samples from which a simulation starts.", "R", "up to 50"
     )
     window: int | None = _training(
         "Samples in a training window, including the warm-up.", "N", "150 to 400"
-    )
-    own_warmup: Literal["yes", "no"] = _training(
-        "Filter the warm-up of each window of split models alone; no: cut windows from the "
-        "filtered record (paper, Eq. 10, training).",
-        default="yes",
     )
     epochs: Epochs = None
     recipe: Recipe = _training(
         "Training settings not set by other options.", "default|constant-rate", default="default"
     )
     learning_rate: float | None = _training("Largest learning rate of Adam.", "RATE", "1e-2")
-    lr_milestones: str | None = _training(
-        "Learning rates from these epochs on: 20:1e-4,500:1e-5.", "EPOCH:RATE,..."
-    )
     hidden: str | None = _training(
         "Hidden units of the networks for the low and the high band; a single GRU has their sum.",
         "LOW,HIGH",

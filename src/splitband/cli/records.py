@@ -294,8 +294,7 @@ def simulator_of(options: SimulatorOptions, record: Record, time_column: str | N
             f"--simulator must be given where {option} is, as an .fmu or FILE.py:FUNCTION, got "
             f"{name or 'none'}"
         )
-    fitted = options.parameters is not None or options.unknown is not None
-    fitted |= options.unknown_odd or options.unknown_increasing
+    fitted = options.parameters is not None or options.unknown is not None or options.unknown_odd
     if not fitted and (name is None or name in BASES):
         return name
     printing.console.print(f"opening the simulator {name}")
@@ -306,10 +305,10 @@ def _how(options: SimulatorOptions, time_column: str | None) -> dict[str, Any]:
     """Return the arguments of `open_simulator` that say how a simulator is opened."""
     how = {option.removeprefix("simulator_"): value for option, value in vars(options).items()}
     del how["simulator"]
-    kind = {name: how.pop(f"unknown_{name}") for name in ("odd", "increasing")}
+    odd = how.pop("unknown_odd")
     if options.unknown is not None:
-        how["unknown"] = [Unknown(names(of), **kind) for of in options.unknown]
-    elif any(kind.values()):
+        how["unknown"] = [Unknown(names(of), odd=odd) for of in options.unknown]
+    elif odd:
         raise InputError("--unknown must say of what the unknown terms are functions, such as x2")
     if (inputs := options.simulator_inputs) is not None:
         how["inputs"] = names(inputs, blank=True) if inputs.strip() else []

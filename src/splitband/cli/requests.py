@@ -44,8 +44,6 @@ class Request:
     ahead: options.Ahead = None
     methods: options.Methods = None
     seeds: options.Seeds = None
-    calibrate: options.Calibrate = False
-    conditioned: options.Conditioned = False
     refit: Annotated[
         bool,
         options.plain("Train the recommended method again, on the whole record, for OUT/model."),
@@ -84,25 +82,18 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
                 f"it runs for every record, got {', '.join(given[option] or ())}"
             )
     chosen: list[str | Forecaster] | None = None
-    calibrate, conditioned = asked.calibrate, asked.conditioned
     if model is not None:
         usual = default_names(record.y_sim is not None, record.nu > 0)
         beside = {*usual} - {*TRAINED, model.name}
         chosen = [model.untrained(), *(n for n in usual if not fitting and n in beside)]
-        calibrate = conditioned = False
     elif asked.methods is not None:
-        listed = options.names(asked.methods)
-        if not listed:
+        chosen = [*options.names(asked.methods)]
+        if not chosen:
             raise InputError(f"methods must be one or several names, got {asked.methods!r}")
-        if fitting and len(listed) == 1:
-            listed = [forecasters(listed, None, None, calibrate, conditioned)[-1].name]
-            calibrate = conditioned = False
-        chosen = [*listed]
     if simulator is None and record.y_sim is not None:
         # A named record's own simulator can run for longer.
         calibrates = any(method.calibrates for method in forecasters(chosen or ()))
-        longer = chosen is None or calibrate or calibrates
-        simulator = asked.record if longer else None
+        simulator = asked.record if chosen is None or calibrates else None
     others, tests = (
         records.load_further(option, files, beside, record, reading, simulated)
         for option, files, beside in (
@@ -126,15 +117,12 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             tests=tests,
             initial=test.initial,
             simulator=simulator,
-            calibrate=calibrate,
-            conditioned=conditioned,
             seeds=asked.seeds,
             refit=asked.refit,
             also=records.elsewhere(asked.also or (), record, reading),
             **_of_model(asked.model),
         )
     )
-    found = _with_windows(found, asked.model.own_warmup)
     for said in found.warnings:
         printing.warn(said)
     if context is not None and model is None and asked.reading.inputs is None:
@@ -153,27 +141,9 @@ def _show_with_inputs(context: typer.Context, record: Record, inputs: list[str])
         printing.console.print(f"to use them as inputs:\n    {command}", soft_wrap=True)
 
 
-def _with_windows(found: Plan, own_warmup: str) -> Plan:
-    """Return a plan whose split models are trained on windows as --own-warmup says."""
-    if own_warmup == "yes":
-        return found
-    able = [method.name for method in found.methods if "own_warmup" in method.get_params()]
-    if not able:
-        raise InputError(
-            "own_warmup must be left out where no method splits the record, as split-gru does, "
-            f"got {', '.join(method.name for method in found.methods)}"
-        )
-    cut = {name: {"own_warmup": False} for name in able}
-    methods = (each.clone().set_params(**cut.get(each.name, {})) for each in found.methods)
-    return replace(found, methods=tuple(methods))
-
-
 def _of_model(asked: options.ModelOptions) -> dict[str, Any]:
     """Return the arguments of `plan` for these options: in settings and bands, or as they are."""
     given = {name: value for name, value in vars(asked).items() if value is not None}
-    del given["own_warmup"]
-    if (rates := given.pop("lr_milestones", None)) is not None:
-        given["milestones"] = options.milestones(rates)
     if (sizes := given.pop("hidden", None)) is not None:
         low, high = options.hidden(sizes)
         given["sizes"] = Sizes(hidden_low=low, hidden_high=high)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import typer
-from typer.exceptions import TyperException
 
 from splitband.cli.options import (
     FileOptions,
@@ -26,7 +24,7 @@ from splitband.report.page.parts import Usage
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.runtime.system import over_lines, quoted
 
-_OF_FIT = "parameters", "unknown", "unknown_odd", "unknown_increasing"
+_OF_FIT = "parameters", "unknown", "unknown_odd"
 _SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name not in _OF_FIT]
 _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
 REPLACED_BY_LIKE = [name for name in ModelOptions.__annotations__ if name not in ("seed", "device")]
@@ -38,10 +36,6 @@ _BLANK = "simulator_inputs", "time_column"
 _DEFAULTS = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())
 WIDTH = 80
 """Characters in a line of a command."""
-NEAR = 0.8
-"""Least similarity of an unknown option and one that it may mean, 0 to 1 (difflib). By eye."""
-_OF_RECORDS = "history", "future_inputs", "test", "more"
-"""Options that take the file of a record; --record does, too, unless it is in place of a model."""
 STEPS = 100
 """Samples ahead in the examples."""
 
@@ -61,50 +55,6 @@ def arguments(values: Mapping[str, Any]) -> dict[str, Any]:
         else v
         for name, v in values.items()
     }
-
-
-def corrected(context: typer.Context, given: Sequence[str]) -> list[str]:
-    """Return the complete commands that the refused words of a command may mean.
-
-    An unknown option may mean one that is spelled like it, or the argument of its name. A file that
-    is one too many may belong to the record option that is required, or else to any other.
-    """
-    params, words = context.command.params, [*given]
-    options = {name: p for p in params if p.param_type_name == "option" for name in p.opts}
-    places = [
-        f"--{p.name}".replace("_", "-").removesuffix("s" if p.nargs < 0 else "")
-        for p in params
-        if p not in options.values()
-    ]
-    for at, word in enumerate(words):
-        name = word.partition("=")[0]
-        if name in options or not word.startswith("--"):
-            continue
-        meant, value = get_close_matches(name, options, 1, NEAR), word.removeprefix(name)
-        if not (meant or name in places):
-            return []
-        words[at : at + 1] = [*filter(None, [value[1:]])] if name in places else [meant[0] + value]
-    try:
-        values, extra, _ = context.command.make_parser(context).parse_args([*words])
-    except TyperException:
-        return []
-    missing = [p for p in params if p.required and values.get(p.name) is None]
-    for name in [p.name for p in params if p.nargs < 0 and missing]:  # it takes every file
-        extra = [*extra, *values[name][1:][-1:]]
-    if len(extra) > 1 or not (extra or words != given):
-        return []
-    found: list[list[str]] = [] if missing else [words]
-    if extra:
-        del words[len(words) - 1 - words[::-1].index(extra[0])]
-        free = [p for p in params if p.multiple or values.get(p.name) is None]
-        takes = {
-            p.name for p in free if p.name in _OF_RECORDS or (p.required and p.name == "record")
-        }
-        names = [n for n, p in options.items() if p.name in takes and missing in ([], [p])]
-        found = [[*words, name, *extra] for name in names]
-    if extra and not (missing or Path(extra[0]).exists()):
-        return []
-    return [" ".join([context.command_path, *map(quoted, each)]) for each in found]
 
 
 def usage(

@@ -79,13 +79,12 @@ _FILES = (
 PUBLIC: dict[str, PublicFile] = {file.name: file for file in _FILES}
 
 
-def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
+def fetch(name: str) -> Path:
     """Return the path of a public record, after checking its SHA-256.
 
-    The file is `PUBLIC[name].path` below `data_dir`, by default below the folder in the environment
-    variable SPLITBAND_DATA_DIR. With neither, it is downloaded once into the user's cache from a
-    pinned commit of github.com/boschresearch/hybrid-observer; `PUBLIC[name]` states its licence
-    and citation.
+    The file is `PUBLIC[name].path` below the folder in the environment variable SPLITBAND_DATA_DIR.
+    Without it, it is downloaded once into the user's cache from a pinned commit of
+    github.com/boschresearch/hybrid-observer; `PUBLIC[name]` states its licence and citation.
 
     Raises ValueError if the name is unknown, or the content is not the published one (the file is
     left unchanged). Raises FileNotFoundError if the folder lacks the file. Raises OSError if the
@@ -94,13 +93,11 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
     if name not in PUBLIC:
         raise InputError(f"public record {name!r} is unknown: there are {', '.join(PUBLIC)}")
     record = PUBLIC[name]
-    variable = os.environ.get(_VARIABLE)
-    if data_dir is None and not variable:
+    if not (folder := os.environ.get(_VARIABLE)):
         return _download(record)
-    origin = f"data_dir is {data_dir}" if data_dir is not None else f"{_VARIABLE}={variable}"
-    path = Path(data_dir if data_dir is not None else str(variable)) / record.path
+    path = Path(folder) / record.path
     if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist: {origin}")
+        raise FileNotFoundError(f"{path} does not exist: {_VARIABLE}={folder}")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if digest != record.sha256:
         raise InputError(
@@ -110,17 +107,10 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
     return path
 
 
-def data_folder() -> Path:
-    """Return the default folder of `fetch`: SPLITBAND_DATA_DIR, or the user's cache."""
-    import pooch  # noqa: PLC0415 - slow to import, and seldom needed
-
-    return Path(os.environ.get(_VARIABLE) or pooch.os_cache("splitband"))
-
-
 def _download(record: PublicFile) -> Path:
     import pooch  # noqa: PLC0415 - slow to import, and seldom needed
 
-    url, path = f"{_SOURCE}/{record.path}", data_folder() / record.path
+    url, path = f"{_SOURCE}/{record.path}", pooch.os_cache("splitband") / record.path
     instead = f"set {_VARIABLE} to a folder that holds {record.path}"
     logger = pooch.get_logger()
     level = logger.level
