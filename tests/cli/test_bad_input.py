@@ -56,6 +56,7 @@ SETTINGS = [
     bad(MEAN + "--train 100 --horizon 50 --refit", "--refit must be", "got 50", "splitband fit"),
     bad("inspect record.csv --columns a --train 0 --out out", "--train must be", "got 0"),
     bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
+    bad(GRU + "--own-warmup no", "--own-warmup must be left out", "split-gru", "got gru"),
 ]
 
 WORDS = [

@@ -40,15 +40,15 @@ def test_intervals_are_saved_where_they_are_asked_for(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected.to_frame())
 
 
-def test_a_split_model_has_the_bands_and_the_windows_that_are_asked_for(tmp_path: Path) -> None:
-    how = "--window 40 --warmup 10 --epochs 1 --cutoff 1 --downsampling 2"
+def test_a_split_model_is_trained_on_windows_of_the_filtered_record(tmp_path: Path) -> None:
+    how = "--window 40 --warmup 10 --epochs 1 --cutoff 1 --downsampling 2 --own-warmup no"
     call(f"fit record.csv --columns a --method split-gru --train 120 {how}", tmp_path / "model")
     found = sb.load(tmp_path / "model")
     assert isinstance(found, sb.Split)
     settings = replace(sb.TrainingSettings.of(120), window=40, warmup=10, epochs=1)
     low, high = found.low, found.high
     bands = sb.Bands(1, found.bands.order, 2)
-    same = sb.Split(low, high, bands, settings=settings)
+    same = sb.Split(low, high, bands, settings=settings, own_warmup=False)
     same.fit(sb.read("record.csv", columns="a")[:120], seed=0)
     np.testing.assert_array_equal(found.predict(20).y, same.predict(20).y)
 

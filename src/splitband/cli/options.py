@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -462,6 +462,11 @@ class ModelOptions:
     )
     window: int | None = _training(
         "Samples in a training window, including the warm-up.", "N", "150 to 400"
+    )
+    own_warmup: Literal["yes", "no"] = _training(
+        "Filter the warm-up of each window of split models alone; no: cut windows from the "
+        "filtered record (paper, Eq. 10, training).",
+        default="yes",
     )
     epochs: Epochs = None
     recipe: Recipe = _training(

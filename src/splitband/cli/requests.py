@@ -123,6 +123,7 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             **_of_model(asked.model),
         )
     )
+    found = _with_windows(found, asked.model.own_warmup)
     for said in found.warnings:
         printing.warn(said)
     if context is not None and model is None and asked.reading.inputs is None:
@@ -141,9 +142,25 @@ def _show_with_inputs(context: typer.Context, record: Record, inputs: list[str])
         printing.console.print(f"to use them as inputs:\n    {command}", soft_wrap=True)
 
 
+def _with_windows(found: Plan, own_warmup: str) -> Plan:
+    """Return a plan whose split models are trained on windows as --own-warmup says."""
+    if own_warmup == "yes":
+        return found
+    able = [method.name for method in found.methods if "own_warmup" in method.get_params()]
+    if not able:
+        raise InputError(
+            "own_warmup must be left out where no method splits the record, as split-gru does, "
+            f"got {', '.join(method.name for method in found.methods)}"
+        )
+    cut = {name: {"own_warmup": False} for name in able}
+    methods = (each.clone().set_params(**cut.get(each.name, {})) for each in found.methods)
+    return replace(found, methods=tuple(methods))
+
+
 def _of_model(asked: options.ModelOptions) -> dict[str, Any]:
     """Return the arguments of `plan` for these options: in settings and bands, or as they are."""
     given = {name: value for name, value in vars(asked).items() if value is not None}
+    del given["own_warmup"]
     if (sizes := given.pop("hidden", None)) is not None:
         low, high = options.hidden(sizes)
         given["sizes"] = Sizes(hidden_low=low, hidden_high=high)
