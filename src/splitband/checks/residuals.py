@@ -152,41 +152,32 @@ class ResidualTests:
         return self.outcome != "rejected"
 
     def finding(self) -> str:
-        """Return the finding of the tests in a sentence or two."""
+        """Return the finding of the tests in a sentence or two, with the size of the residuals."""
+        size = (
+            "" if self.size is None else f" (RMS {100 * self.size:.2g} % of its standard deviation)"
+        )
         if self.dependent:
-            return f"{self._effect()}{self._size()}"
-        if self.white:
-            independent = "do not depend on the inputs and " if self.inputs else ""
-            return f"The residuals of {self.output} {independent}are white noise."
+            names = " and ".join(self.dependent)
+            if not self._alone:
+                names += f", if only a nonlinear one (all tests together: p = {self.p:.1g})"
+            return (
+                f"The residuals of {self.output}{size} still contain an effect of {names}, which "
+                f"the model does not describe (tested at {100 * CONFIDENCE:.0f} %)."
+            )
         if self.unrelated:
             return (
                 f"The inputs may be unrelated to {self.output}, which wanders like a random "
                 "walk: they do not help to predict its changes. An effect in the model may be "
                 "chance."
             )
-        independent = "do not depend on the inputs, but " if self.inputs else ""
+        independent = ["do not depend on the inputs"] if self.inputs else []
+        begin = f"The residuals of {self.output}{size}"
+        if self.white:
+            return f"{begin} {' and '.join([*independent, 'are white noise'])}."
         return (
-            f"The residuals of {self.output} {independent}are not white noise. "
-            "Either a disturbance acts or the model lacks dynamics; this record cannot tell which."
+            f"{begin} {', but '.join([*independent, 'are not white noise'])}. Either a disturbance "
+            "acts or the model lacks dynamics; this record cannot tell which."
         )
-
-    def _effect(self) -> str:
-        """Return a sentence with the inputs in the residuals."""
-        *first, last = self.dependent
-        names = f"{', '.join(first)} and {last}" if first else last
-        if not self._alone:
-            names += f", if only a nonlinear one (all tests together: p = {self.p:.1g})"
-        return (
-            f"The residuals of {self.output} still contain an effect of {names}, which the model "
-            f"does not describe (tested at {100 * CONFIDENCE:.0f} %)."
-        )
-
-    def _size(self) -> str:
-        """Return a sentence on the size of the residuals, after a blank; empty if unknown."""
-        if self.size is None:
-            return ""
-        left = np.format_float_positional(100 * self.size, 2, fractional=False, trim="-")
-        return f" Their RMS is {left} % of the output's standard deviation."
 
     def as_json(self) -> dict[str, Any]:
         """Return the tests for a JSON file."""

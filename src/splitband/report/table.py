@@ -7,7 +7,6 @@ have the numbers.
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import StringIO
@@ -31,6 +30,8 @@ Unit = Literal["percent", "record", "deviation", "share", "seconds", "count", "g
 output over input."""
 OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
 """Units of numbers over all outputs of a comparison."""
+RANKED: tuple[Unit, ...] = ("percent", "record", "deviation")
+"""Units of the columns of a comparison in which one number is the best."""
 
 SHOWN = {
     "forecast fit %": "fit %",
@@ -81,11 +82,6 @@ class Column:
     def line(self) -> str:
         """Return the test record and the channel: the line of a row in a terminal."""
         return ", ".join(filter(None, [self.record, self.channel]))
-
-    @property
-    def label(self) -> str:
-        """Return the heading with the test record and the channel: the title in a page."""
-        return ", ".join(filter(None, [self.shown, self.line]))
 
     @property
     def best(self) -> str:
@@ -157,47 +153,52 @@ class Table:
         """Return a row in words, without the short name."""
         return self.label(row).removesuffix(f" ({row})")
 
+    @property
+    def lines(self) -> list[str]:
+        """Return the outputs and test records to tell apart; a single one is not named."""
+        lines = [*dict.fromkeys(c.line for c in self.columns if c.line)]
+        return lines if len(lines) > 1 else []
+
+    def heading(self, column: Column) -> str:
+        """Return the heading of a column in a page, with its output and test record."""
+        return ", ".join(filter(None, [column.shown, self._line(column)]))
+
+    def _line(self, column: Column) -> str:
+        return column.line if self.lines else ""
+
     def drawn(self, details: bool = False, box: Box | None = HEAVY_HEAD) -> rich.table.Table:
         """Return the table for a terminal, without its title; on request with `details`.
 
-        The best number of a column is bold. Channels and test records have lines of their own below
+        The best number of a column is bold. Outputs and test records have lines of their own below
         the row. In a narrow terminal words are folded, and numbers never.
         """
-        of_heading: dict[str, list[Column]] = {}
-        for column in self.columns:
-            if details or column.heading not in DETAILS:
-                of_heading.setdefault(column.shown, []).append(column)
-        one = all(len({c.line for c in columns}) == 1 for columns in of_heading.values())
-        one = one and len({c.line for c in self.columns if c.line}) == 1  # the title names it
+        shown = [c for c in self.columns if details or c.heading not in DETAILS]
+        headings = [*dict.fromkeys(c.shown for c in shown)]
         table = rich.table.Table(box=box, padding=(0, 1, 0, 1) if box else (0, 2, 0, 0))
         table.add_column(self.head, overflow="fold")
-        for heading, columns in of_heading.items():
-            entries = [c.entry(name) for c in columns for name in self.rows if name in c.values]
+        for heading in headings:
+            entries = [c.entry(row) for c in shown if c.shown == heading for row in c.values]
             least = max(map(len, " ".join([heading, *entries]).split(" ")))
-            width = max([NARROW, least, *map(len, entries)])
-            header = textwrap.fill(heading, width, break_long_words=False)
-            table.add_column(header, justify="right", min_width=least)
-        for name in self.rows:
-            best = name == self.recommended
-            label = Text(titled(name, self.words(name)), "bold" if best else "")
-            every = [c for columns in of_heading.values() for c in columns if name in c.values]
-            lines = [] if one else [*dict.fromkeys(c.line for c in every if c.line)]
+            most = max([NARROW, least, *map(len, entries)])
+            table.add_column(heading, justify="right", min_width=least, max_width=most)
+        for row in self.rows:
+            best, own = row == self.recommended, {c.line for c in shown if row in c.values}
+            mark = "* " if best else "  " * bool(self.recommended)
+            label = Text(mark + titled(row, self.words(row)), "bold" if best else "")
+            lines = [line for line in self.lines if line in own]
             for line in ["", *lines]:
-                cells = [_cell(of, name, of[0].line if one else line) for of in of_heading.values()]
-                mark = "  " if line else "*" if best else " " * bool(self.recommended)
-                head = _behind(mark, Text(line) if line else label) if mark else label
-                table.add_row(head, *cells, end_section=bool(lines) and line == lines[-1])
+                first = Text(f"  {mark and '  '}{line}") if line else label
+                cells = [self._cell(row, heading, line) for heading in headings]
+                table.add_row(first, *cells, end_section=bool(lines) and line == lines[-1])
         return table
 
-    def listed(self, details: bool = False) -> str:
-        """Return the rows of `drawn` with each number on a line, for narrow terminals."""
-        lines = list[str]()
-        for name in self.rows:
-            lines.append("* " * (name == self.recommended) + titled(name, self.words(name)))
-            for c in self.columns:
-                if name in c.values and (details or c.heading not in DETAILS):
-                    lines.append("  " + f"{c.line} {c.shown}: {c.entry(name)}".lstrip())
-        return "\n".join(lines)
+    def _cell(self, row: str, heading: str, line: str) -> Text:
+        """Return the number of a row, or of one of its lines, under a heading."""
+        own = [c for c in self.columns if c.shown == heading and row in c.values]
+        for column in own:
+            if self._line(column) == line:
+                return Text(column.entry(row), "bold" if column.best == row else "")
+        return Text("" if own or line else number(None))
 
     def as_text(self, width: int = 100) -> str:
         """Return the table as text in lines of `width` characters.
@@ -235,20 +236,3 @@ class Table:
         """Return the distinct remarks on rows; on request with `details`."""
         every = {n: (words, self.details.get(n, "") * details) for n, words in self.rows.items()}
         return by_reason({self.label(n): "; ".join(filter(None, of)) for n, of in every.items()})
-
-
-def _cell(columns: Sequence[Column], name: str, line: str) -> Text:
-    """Return the number of a row, or of one of its lines, under a heading."""
-    for column in columns:
-        if column.line == line and name in column.values:
-            return Text(column.entry(name), "bold" if column.best == name else "")
-    return Text("" if line or any(name in column.values for column in columns) else number(None))
-
-
-def _behind(mark: str, text: Text) -> rich.table.Table:
-    """Return a text that is folded behind a mark."""
-    grid = rich.table.Table.grid(padding=(0, 1, 0, 0))
-    grid.add_column(no_wrap=True)
-    grid.add_column(overflow="fold")
-    grid.add_row(mark, text)
-    return grid
