@@ -176,7 +176,7 @@ def test_the_record_shows_its_parts_and_the_interval_of_the_residuals() -> None:
     np.testing.assert_array_equal(run.curves[found.recommended][TRAIN:], said.y)
     plots = over_time.over_time(run, looks({names[0]: "the best"}))
     assert [key.name for key in plots[0].legend][:2] == ["measured", "the best"]
-    assert plots[1].caption.startswith("Measured minus predicted, the best; shaded: 90")
+    assert plots[1].caption.endswith("measured minus predicted, the best; shaded: 90\xa0% interval")
 
 
 def test_forecasts_ahead_are_drawn_in_place_of_the_free_run() -> None:
@@ -269,7 +269,7 @@ def test_the_page_of_a_driven_record_has_its_order_stairs_responses_and_poles(
     _, pole = next(iter(poles.rows)).split()
     assert float(pole) == pytest.approx(0.8, abs=0.01)
     made = dict(by_name["made"].facts)
-    assert made[f"SHA-256 of {data}"] == hashlib.sha256(data.read_bytes()).hexdigest()
+    assert made["SHA-256 of rig.csv"] == hashlib.sha256(data.read_bytes()).hexdigest()
     assert "SHA-256 of overhead-crane" not in made
 
 
@@ -307,8 +307,8 @@ def test_the_answer_has_the_size_of_what_is_not_explained() -> None:
     fit = found.table["forecast fit %"]["linear"]
     (first, *_) = words.answer(found)
     assert first.startswith(f"Simulation of 500 samples: fit {fit:.1f} %.")
-    assert "A part of the effect of speed on y is not explained: the residuals are" in first
-    (size,) = re.findall(r"residuals are ([\d.]+)", first)
+    assert "still contain an effect of speed, perhaps a nonlinear one, which the model" in first
+    (size,) = re.findall(r"RMS ([\d.]+) % of its", first)
     assert float(size) == pytest.approx(100 - fit, abs=1.0)
 
 

@@ -159,7 +159,7 @@ class ResidualTests:
         if self.dependent:
             names = " and ".join(self.dependent)
             if not self._alone:
-                names += f", if only a nonlinear one (all tests together: p = {self.p:.1g})"
+                names += ", perhaps a nonlinear one"
             return (
                 f"The residuals of {self.output}{size} still contain an effect of {names}, which "
                 f"the model does not describe (tested at {100 * CONFIDENCE:.0f} %)."

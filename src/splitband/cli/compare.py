@@ -101,8 +101,8 @@ def _explain(result: Comparison, called: Mapping[str, str]) -> None:
     """Print why the method is recommended, what its residuals say, and its bands."""
     plan, say = result.plan, printing.console.print
     say(" ".join(words.why(result.require_trial(), plan.train, called, plan.ahead)))
-    for verdict in words.verdicts(result):
-        say(f"residual tests: {verdict}")
+    for finding in words.findings(result):
+        say(finding)
     chosen = result.fits[result.recommended][0].fitted.untrained()
     if isinstance(chosen, Network) and chosen.bands is not None:
         say(words.of_bands(chosen.bands, plan.training))

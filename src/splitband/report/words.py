@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from splitband.checks.residuals import ResidualTests
 from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.checks import repeats_training
 from splitband.comparison.methods import GREY_BOX, HYBRIDS
@@ -161,52 +160,26 @@ def without_result(comparison: Comparison) -> list[str]:
     return [name for name in names if name not in comparison.fits]
 
 
-def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
-    """Return the verdicts of the residual tests of the recommended method, with the tests."""
-    where = "the samples after the training part"
-    if comparison.medians[comparison.recommended].tests:
-        where = f"test record {comparison.tests[0].name or 1}{_one_ahead(comparison)}"
-    tests = comparison.residual_tests
-    return {f"{test.finding()} (Tested on {where}.)": test for test in tests}
+def findings(comparison: Comparison) -> list[str]:
+    """Return the findings of the residual tests of the recommended method."""
+    found = [test.finding() for test in comparison.residual_tests]
+    fit = comparison.medians[comparison.recommended]
+    if found and fit.tests:
+        how = "" if fit.report.stable else ", predicted one sample ahead, as the model is unstable"
+        found.append(f"These are residuals of test record {comparison.tests[0].name or 1}{how}.")
+    return found
 
 
 def answer(comparison: Comparison) -> list[str]:
     """Return sentences on the fit of the recommended method, and on what it does not explain."""
     fits = "; ".join(f"{of}: {facts[0]}" for of, facts in headline(comparison))
-    left = [unexplained(test) for test in comparison.residual_tests]
-    if left and (how := _one_ahead(comparison)):
-        left.append(f"The residuals are those of the test record{how}, as the model is unstable.")
-    return [" ".join([sentence(fits), *left]), *gravest(comparison), *afterwards(comparison)]
-
-
-def _one_ahead(comparison: Comparison) -> str:
-    """Return how the residuals come about where a test record is not simulated."""
-    fit = comparison.medians[comparison.recommended]
-    return ", predicted one sample ahead" if fit.tests and not fit.report.stable else ""
-
-
-def unexplained(test: ResidualTests) -> str:
-    """Return a sentence on what a method leaves of an output, with its size."""
-    size = f"{percent(test.size or 0.0)} of the standard deviation"
-    if test.dependent:
-        return (
-            f"A part of the effect of {' and '.join(test.dependent)} on {test.output} is not "
-            f"explained: the residuals are {size}."
-        )
-    if test.white:
-        return f"The residuals of {test.output} are white noise: {size}."
-    if test.unrelated:
-        return test.finding()
-    return (
-        f"The residuals of {test.output}, {size}, are not white noise: a disturbance acts, or "
-        "the model lacks dynamics."
-    )
+    return [" ".join([sentence(fits), *findings(comparison)]), *afterwards(comparison)]
 
 
 def warnings(comparison: Comparison) -> list[str]:
     """Return warnings about the numbers, the gravest first."""
-    verdicts_of = verdicts(comparison).items()
-    doubtful = [said for said, test in verdicts_of if test.unrelated or not test.accepted]
+    tests = comparison.residual_tests
+    doubtful = [test.finding() for test in tests if test.unrelated or not test.accepted]
     return [*dict.fromkeys((*pressing(comparison), *doubtful, *further(comparison)))]
 
 
@@ -220,7 +193,7 @@ def gravest(comparison: Comparison) -> list[str]:
     return [
         *map(sentence, comparison.clock.notes),
         *_unstable(comparison),
-        *of_inputs(comparison.inputs_beyond_training, comparison.record),
+        *map(sentence, of_inputs(comparison.inputs_beyond_training, comparison.record)),
         *_seen(comparison),
         *_worse_than_mean(comparison),
         *_useless_term(comparison),

@@ -84,7 +84,11 @@ def errors_by_band(run: Run, looks: Mapping[str, Look], cutoff: float | None) ->
             wide = 2.0 if looks[name].number else 3.0
             chart.line(100 * ratios[name], looks[name].key(), line_width=wide)
         power = Chart(
-            axis, "power (%)", (0.0, 110 * float(share.max())), f"{column}: power by band", SMALL
+            axis,
+            "power (%)",
+            (0.0, 110 * float(share.max())),
+            f"{column}: share of the power by band",
+            SMALL,
         )
         power.stems(100 * share, Key("record", "measured"))
         for each in (chart, power) if cutoff else ():

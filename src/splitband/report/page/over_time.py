@@ -132,7 +132,7 @@ def _output(run: Run, looks: Mapping[str, Look], axis: Axis, i: int) -> list[Cha
     scale = limits([measured, np.clip(predicted, *limits([measured], DIVERGED))])
     caption = f"{column}, measured and predicted: {run.says}"
     if np.isfinite(predicted[: run.scored]).any():
-        caption += ", and from the first samples before it"
+        caption += "; before it, from the first samples"
     chart = Chart(axis, column, scale, caption, height)
     for part, (first, last) in run.parts.items():
         ends = {"left": float(axis.values[first]), "right": float(axis.values[last])}
@@ -152,11 +152,11 @@ def _residuals(run: Run, shown: Mapping[str, Look], axis: Axis, i: int) -> Chart
     half = np.full(len(measured), np.nan) if run.half is None else run.half[:, i]
     low, high = limits([*(of[run.scored :] for of in left.values()), half, -half])
     reach = DIVERGED * float(np.ptp(limits([measured])))
-    unit, caption = run.record.units[i], "Measured minus predicted"
+    caption = "Residual: measured minus predicted"
     caption += "" if others else f", {look.label}"
     caption += "" if run.half is None else f"; shaded: {percent(run.level)} interval"
-    label = f"residual ({unit})" if unit else "residual"
-    chart = Chart(axis, label, (max(low, -reach), min(high, reach)), caption, SMALL)
+    label, scale = run.record.units[i] or "residual", (max(low, -reach), min(high, reach))
+    chart = Chart(axis, label, scale, caption, SMALL)
     if run.half is not None:
         chart.band(-half, half, Key("interval", look.color, shaded=True))
     for name in reversed([*shown]):

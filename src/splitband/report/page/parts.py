@@ -27,7 +27,8 @@ class Section:
     words: Sequence[str] = ()  # paragraphs
     plots: Sequence[Chart] = ()
     tables: Sequence[Table] = ()
-    items: Sequence[str] = ()  # warnings
+    warnings: Sequence[str] = ()  # what a reader of the paragraphs must know
+    items: Sequence[str] = ()  # notes
     code: Sequence[tuple[str, str]] = ()  # pairs of a purpose and lines to copy
     facts: Sequence[tuple[str, str]] = ()  # pairs of a name and a value
 
