@@ -43,6 +43,9 @@ from splitband.training.settings import default_warmup
 
 AHEAD = 10
 """Usual horizon in samples of the predictions from within the record. Layout."""
+MOST_ONE_AHEAD = 4_000
+"""Largest number of samples that an unstable model predicts one by one: the last ones. Bounds the
+time."""
 LONGER = 10
 """Length of the free run in the check of stability, in multiples of the record. Bounds the time."""
 
@@ -56,7 +59,7 @@ class ModelCheck:
     method : Name of the forecaster.
     record : The record of the check.
     simulation : The free run from a warm-up on the first samples to the end. Of an unstable model
-        the predictions one sample ahead, in its place in `tests`, too.
+        the last `MOST_ONE_AHEAD` predictions one sample ahead, in its place in `tests`, too.
     fits : Fit in percent by output, of "simulation", "1 sample ahead" and so on.
     tests : Residual tests by output.
     leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
@@ -224,7 +227,8 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
 def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
     """Simulate a record from a warm-up on its first samples to its end; None for a short one.
 
-    An unstable model predicts each sample from those before it instead.
+    An unstable model predicts each of the last `MOST_ONE_AHEAD` samples from those before it
+    instead.
     """
     warmup = forecaster.warmup or default_warmup(len(record))  # as for test records
     begin = first_after(record.y_with_gaps, max(warmup, 2))
@@ -234,6 +238,7 @@ def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
     if forecaster.require_fitted().report.stable:
         with without_warnings(ExtrapolationWarning):
             return forecaster.predict(**after(record, begin), other_record=other)
+    begin = max(begin, len(record) - MOST_ONE_AHEAD)
     origins = [Origin(0, at, 1) for at in range(begin, len(record))]
     known = known_of(forecaster, other_record=other, **after(record, begin))
     made = forecasts(forecaster.run_over(known), record, origins, other_record=other)

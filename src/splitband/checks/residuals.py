@@ -38,6 +38,8 @@ SIGNIFICANT = 0.005
 (`benchmarks.residuals`), 1.5 % of right models have a p-value below 1 %."""
 LAGS = 25
 """Largest lag of the correlations, in samples, as in MATLAB's `resid`."""
+MOST_TESTED = 100_000
+"""Largest number of samples of a test: the last ones, as `finding` says. Bounds the time."""
 MOST_LAGS = 500
 """Largest lag of `Correlation.around`. Bounds the time."""
 MAX_ORDER = 20
@@ -109,6 +111,7 @@ class ResidualTests:
     size : RMS of the residuals as a share of the output's standard deviation; None for a constant
         output.
     unrelated : Whether the output wanders, and the inputs do not help to predict its changes.
+    last : Number of tested samples of a record with more than `MOST_TESTED`; else 0.
     """
 
     output: str
@@ -117,6 +120,7 @@ class ResidualTests:
     p: float = 1.0
     size: float | None = None
     unrelated: bool = False
+    last: int = 0
 
     @property
     def white(self) -> bool:
@@ -153,15 +157,15 @@ class ResidualTests:
 
     def finding(self) -> str:
         """Return the finding of the tests in a sentence or two, with the size of the residuals."""
-        size = (
-            "" if self.size is None else f" (RMS {100 * self.size:.2g} % of its standard deviation)"
-        )
+        facts = [f"RMS {100 * self.size:.2g} % of its standard deviation"] if self.size else []
+        facts += [f"tested: the last {self.last:,} samples"] if self.last else []
+        of = f"{self.output} ({', '.join(facts)})" if facts else self.output
         if self.dependent:
             names = " and ".join(self.dependent)
             if not self._alone:
                 names += ", perhaps a nonlinear one"
             return (
-                f"The residuals of {self.output}{size} still contain an effect of {names}, which "
+                f"The residuals of {of} still contain an effect of {names}, which "
                 f"the model does not describe (tested at {100 * CONFIDENCE:.0f} %)."
             )
         if self.unrelated:
@@ -171,7 +175,7 @@ class ResidualTests:
                 "chance."
             )
         independent = ["do not depend on the inputs"] if self.inputs else []
-        begin = f"The residuals of {self.output}{size}"
+        begin = f"The residuals of {of}"
         if self.white:
             return f"{begin} {' and '.join([*independent, 'are white noise'])}."
         return (
@@ -200,8 +204,9 @@ def residual_tests(
     `(time, ny)`, are tested with the inputs. An output that is slower than others is tested at its
     own rate, and one of fewer than 2 `LAGS` samples is left out.
     """
-    tests = []
+    tests, last = [], MOST_TESTED if len(residuals) > MOST_TESTED else 0
     simulated = np.zeros_like(residuals) if simulated is None else simulated
+    residuals, simulated = residuals[-MOST_TESTED:], simulated[-MOST_TESTED:]
     for column, own, of_model in zip(columns, residuals.T, simulated.T, strict=True):
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
         driven = {name: x for name, x in pairs if np.ptp(x[-len(own) - MAX_LAG :]) > 0}
@@ -211,7 +216,7 @@ def residual_tests(
         p, tested = _dependence(e, y, driven) if driven else (1.0, ())
         white = _whiteness(e, _slow(e + y))
         unrelated = bool(driven) and white.p < 1 - CONFIDENCE and _unrelated(e + y, driven)
-        tests.append(ResidualTests(column, white, tested, p, _size(e, y), unrelated))
+        tests.append(ResidualTests(column, white, tested, p, _size(e, y), unrelated, last))
     return tuple(tests)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from splitband.checks.model import MOST_ONE_AHEAD
 from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.checks import repeats_training
 from splitband.comparison.methods import GREY_BOX, HYBRIDS
@@ -165,8 +166,13 @@ def findings(comparison: Comparison) -> list[str]:
     found = [test.finding() for test in comparison.residual_tests]
     fit = comparison.medians[comparison.recommended]
     if found and fit.tests:
-        how = "" if fit.report.stable else ", predicted one sample ahead, as the model is unstable"
-        found.append(f"These are residuals of test record {comparison.tests[0].name or 1}{how}.")
+        record = f"test record {comparison.tests[0].name or 1}"
+        if not fit.report.stable:
+            record += (
+                f", predicted one sample ahead, as the model is unstable (at most the last "
+                f"{MOST_ONE_AHEAD:,} samples)"
+            )
+        found.append(f"These are residuals of {record}.")
     return found
 
 

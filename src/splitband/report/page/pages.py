@@ -252,7 +252,7 @@ def of_check(
     record, name = result.record, result.method
     label = checked.in_words() or name
     stable = checked.require_fitted().report.stable
-    says = "simulation" if stable else "predictions one sample ahead"
+    says = "simulation" if stable else f"the last {len(result.simulation):,} samples, one ahead"
     run = Run(record, says, {name: _placed(result.simulation.y, record)})
     drawn = looks({name: label})
     facts = [
