@@ -239,8 +239,7 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     stable = forecaster.require_fitted().report.stable
     if not stable:
         remarks.append(
-            f"{forecaster.name} is unstable: its responses grow without bound, and have no static "
-            "gain."
+            "The model is unstable: its responses grow without bound, and have no static gain."
         )
     lost = [responses.place for responses in every if responses not in finite]
     remarks += [
@@ -250,8 +249,8 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     for moving in unsettled[:1]:
         after = len(moving.whole) * moving.sampling_time
         remarks.append(
-            f"{forecaster.name} has not settled after {after:.4g} s: its gain and phase at low "
-            "frequencies are uncertain."
+            f"The response has not settled after {after:.4g} s: gain and phase at low frequencies "
+            "are uncertain."
         )
     return [replace(finite[0], remarks=tuple(remarks)), *finite[1:]]
 

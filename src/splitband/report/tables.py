@@ -39,13 +39,14 @@ def of_comparison(comparison: Comparison) -> Table:
     """Return the table of a comparison: one row per method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = " Errors are against the noise-free signal." if record.y_true is not None else ""
-    ahead = f"; each method then predicted the next {len(record) - train:,} in one {run_of(record)}"
+    after = len(record) - train
+    ahead = f"; each method then predicted the next {after:,} in one {run_of(record)}"
     tests = f"; each method then simulated {' and '.join(t.name for t in comparison.tests)}"
     others = len(comparison.others)
     more = f" {others} more record(s) train, of which nothing is held out." if others else ""
     title = (
         f"{_called(record)}: the training part has {train:,} samples"
-        + (ahead if train < len(record) else "")
+        + (ahead if after and _runs_free(comparison) else "")
         + (tests if comparison.tests else "")
         + f". {what_was_known(comparison)}{truth}{_from_origins(comparison)}{more}"
     )
@@ -59,6 +60,11 @@ def of_comparison(comparison: Comparison) -> Table:
     }
     called = labels_of(comparison)
     return _ranked(Table(title, columns(comparison), rows, labels=called, details=details), trial)
+
+
+def _runs_free(comparison: Comparison) -> bool:
+    """Return whether a free run tells anything: that of an unstable plant leaves the record."""
+    return comparison.plan.ahead is None or comparison.plan.reach is None
 
 
 def _from_origins(comparison: Comparison) -> str:
@@ -200,7 +206,8 @@ def _errors(
     protocol: Protocol, measure: Callable[[Array, Array], Array], comparison: Comparison
 ) -> Iterator[Column]:
     """Yield the fits or errors of predictions, errors with their spread over the seeds."""
-    every = [runs for runs in predicted(comparison) if runs.protocol == protocol]
+    shown = predicted(comparison) if _runs_free(comparison) else []
+    every = [runs for runs in shown if runs.protocol == protocol]
     for i, shown in enumerate(every, 1):
         values, spreads = {}, {}
         for name, median in shown.predictions.items():

@@ -201,6 +201,8 @@ class Chart:
             shown.yaxis.ticker = _decades(limits)
         elif height <= SMALL:
             shown.yaxis.ticker = BasicTicker(desired_num_ticks=4)
+        if axis.log and small:
+            shown.xaxis.ticker.desired_num_ticks = 3
         if axis.dates:
             below, shown.xaxis.axis_label = DatetimeTickFormatter(**BELOW), None
             shown.xaxis.formatter = DatetimeTickFormatter(
