@@ -199,7 +199,7 @@ def test_a_nameless_record_is_called_so(tmp_path: Path) -> None:
     captions = [words_of(each) for each in parsed(tmp_path / "page.html").iter("caption")]
     assert any(each.startswith("a record: the training part has 200 samples") for each in captions)
     assert not any(each.startswith(":") for each in captions)
-    assert rollouts(found).get_suptitle().startswith("a record; recommended: ")
+    assert rollouts(found).get_suptitle() == "a record: forecast after the training part"
 
 
 def test_nothing_is_said_of_fits_that_are_unknown() -> None:

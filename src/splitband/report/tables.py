@@ -252,11 +252,6 @@ def _intervals(comparison: Comparison) -> list[Column]:
     return _by_output(comparison.record, held, marks=marks)
 
 
-def _trainings(comparison: Comparison) -> list[Column]:
-    counts = {name: float(len(fits)) for name, fits in comparison.fits.items()}
-    return _over_all(counts) if max(counts.values(), default=0) > 1 else []
-
-
 def _seconds(comparison: Comparison) -> list[Column]:
     runs = comparison.fits.items()
     return _over_all({n: statistics.mean(r.report.seconds for r in of) for n, of in runs})
@@ -286,7 +281,6 @@ _INSIDE = (
 )
 _HELD_OUT = "error on the last quarter of the training samples of models trained on the rest"
 _RMSE = "root mean squared error of the"
-_MEDIAN_OF = "trainings that the median is of; ± is the standard deviation of their errors"
 _TESTS, _FORECASTS = partial(_errors, "test"), partial(_errors, "forecast")
 COLUMNS = {
     **{
@@ -307,7 +301,6 @@ COLUMNS = {
         "record", _HELD_OUT, lambda c: _held_out(c.trial, c.record, c.fits) if c.trial else []
     ),
     "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
-    "trainings": Quantity("count", _MEDIAN_OF, _trainings),
 }
 """The columns of comparisons by heading."""
 

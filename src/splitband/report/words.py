@@ -13,8 +13,6 @@ from splitband.comparison.methods import GREY_BOX, HYBRIDS
 from splitband.comparison.plan import UNFITTED_SIMULATOR, WITHOUT_TERMS
 from splitband.comparison.recommendation import Trial, by_reason
 from splitband.comparison.result import Comparison
-from splitband.filters.spectrum import periodogram
-from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out, so_far_ahead
 from splitband.forecasters.linear import Linear
@@ -211,7 +209,6 @@ def further(comparison: Comparison) -> list[str]:
     return [
         *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
-        *_missed_interval(comparison),
         *_missing(comparison),
         *_few_held_out(comparison.plan.train),
         *_notes(comparison),
@@ -305,24 +302,6 @@ def _wide_interval(comparison: Comparison) -> list[str]:
     ]
 
 
-def _missed_interval(comparison: Comparison) -> list[str]:
-    """Return a sentence on an interval with too few samples inside."""
-    best = comparison.recommended
-    share = comparison.require_trial().intervals[best].share
-    missed = [
-        percent(c.values[best]) + (f" ({c.channel})" if c.channel else "")
-        for c in columns(comparison, "in interval")
-        if c.marks.get(best) == "narrow"
-    ]
-    if not missed:
-        return []
-    return [
-        f"The {percent(share)} interval contained only {' and '.join(missed)} of the samples after "
-        "the training part. Either the system has changed, or the training part does not show how "
-        "errors grow."
-    ]
-
-
 def _missing(comparison: Comparison) -> list[str]:
     """Return sentences on the methods without a result."""
     why, called = comparison.require_trial().without_result, labels_of(comparison)
@@ -390,20 +369,6 @@ def _useless_simulator(comparison: Comparison) -> list[str]:
         "The simulator helps at no cut-off frequency, so hybrid models were left out. To compare "
         "them all the same, methods (--methods) must name them."
     ]
-
-
-def of_bands(bands: Bands, training: Record) -> str:
-    """Return sentences on the bands of models, and the reason; empty without such models."""
-    if bands.cutoff is None:
-        return ""
-    below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)
-    choice = bands.choice
-    reason = choice.reason if choice else f"{percent(below)} of the power lies below that"
-    return (
-        f"Models of two bands split the signal at {number(bands.cutoff)} Hz, with filters of "
-        f"order {bands.order}; the low band has every {bands.downsampling}-th sample. "
-        f"{sentence(reason)}"
-    )
 
 
 def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
