@@ -11,7 +11,7 @@ from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.checks import repeats_training
 from splitband.comparison.methods import GREY_BOX, HYBRIDS
 from splitband.comparison.plan import UNFITTED_SIMULATOR, WITHOUT_TERMS
-from splitband.comparison.recommendation import Trial, by_reason
+from splitband.comparison.recommendation import RULE, Trial, by_reason
 from splitband.comparison.result import Comparison
 from splitband.forecasters.base import titled
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out, so_far_ahead
@@ -67,8 +67,6 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
         of = so_far_ahead(fit.ahead) + (f" in test record {fit.record}" if fit.record else "")
         facts = [f"fit {fit.entry(best)} %" + (f" ({also})" if also else "")]
         add(fit, of, facts, len(lines) < record.ny)
-    if judged and plan.reach is not None:
-        return lines
     if not (comparison.tests or comparison.predictions):
         for error in columns(comparison, "held-out RMSE"):
             facts = [f"held-out RMSE {error.entry(best)} {error.measure}".rstrip()]
@@ -98,27 +96,21 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
         ]
     ranked = trial.ranked(trial.final)
     able = [name for name in ranked if name not in trial.left_out] or ranked
-    words = [f"Its score is the lowest, {number(trial.penalized_score(best))}"]
+    chosen = f"Its score is the lowest, {number(trial.penalized_score(best))}"
     if 1 < len(able) < len(ranked):
-        words[0] += ", of the methods that may be recommended"
+        chosen += ", of the methods that may be recommended"
     if len(able) > 1:
         second = number(trial.penalized_score(able[1]))
-        words[0] += f"; that of {called.get(able[1], able[1])} is {second}"
-    words[0] += "."
-    words.append(
-        f"The score is the held-out error in standard deviations: every method was trained on the "
-        f"first {percent(1 - HELD_OUT_SHARE)} of the {train:,} training samples and predicted the "
-        "rest" + (f", up to {ahead} samples ahead from many origins." if ahead else ".")
-    )
-    if trial.drifting:
-        names = ", ".join(called.get(name, name) for name in trial.drifting)
-        words.append(
-            f"That of {names}, which is unstable, is the error of its simulation of the training "
-            "samples, as it is larger."
-        )
-    if trial.trained and set(trial.errors) - trial.trained:
-        words.append(f"The scores of networks carry a penalty of {percent(WORTH_TRAINING)}.")
-    return words
+        chosen += f"; that of {called.get(able[1], able[1])} is {second}"
+    drifting = ", ".join(called.get(name, name) for name in trial.drifting)
+    return [
+        f"{chosen}.",
+        f"The score is {RULE}.",
+        *([f"The score of {drifting} is that of an unstable network."] if drifting else []),
+        f"Held out are the last {percent(HELD_OUT_SHARE)} of the {train:,} training samples: every "
+        "method was trained on the others and predicted these"
+        + (f", up to {ahead} samples ahead from many origins." if ahead else "."),
+    ]
 
 
 def afterwards(comparison: Comparison) -> list[str]:

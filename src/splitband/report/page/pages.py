@@ -29,7 +29,7 @@ from splitband.report.environment import environment
 from splitband.report.numbers import complex_in_words, number
 from splitband.report.page import frequency, model, over_time
 from splitband.report.page.over_time import Run
-from splitband.report.page.parts import Look, Page, Section, Usage, looks
+from splitband.report.page.parts import Key, Page, Section, Usage, looks
 from splitband.report.predictions import predicted
 from splitband.report.table import Column, Table
 from splitband.report.tables import columns, ordered
@@ -82,7 +82,7 @@ def _cutoff(result: Comparison, names: Iterable[str]) -> float | None:
     return next((each.cutoff for each in bands if each is not None and each.cutoff), None)
 
 
-def _by_band(run: Run, drawn: Mapping[str, Look], cutoff: float | None) -> list[Section]:
+def _by_band(run: Run, drawn: Mapping[str, Key], cutoff: float | None) -> list[Section]:
     """Return the section of errors over frequency."""
     plots = frequency.errors_by_band(run, drawn, cutoff)
     text = (
@@ -301,11 +301,11 @@ def of_inspection(found: Inspection, used: Usage) -> Page:
     """Return the page of an inspection of a record."""
     record = found.record
     facts = [(c.name, f"{c.role}: {c.range}; {', '.join(c.reasons)}") for c in found.columns]
-    warned = [words.sentence(text) for text in (*found.warnings, *words.of_gaps(record))]
+    warned, gaps = [*map(words.sentence, found.warnings)], words.of_gaps(record)
     drawn = frequency.spectrum(record, found.bands.cutoff)
     listed = [] if found.simulator is None else [tables.of_oracle(found.simulator)]
     said = [words.sentence(text) for text in found.in_words()]
-    answer = Section("answer", "What it holds", said, drawn, listed, warned, facts=facts)
+    answer = Section("answer", "What it holds", said, drawn, listed, warned, gaps, facts=facts)
     return Page(record.name or "a record", words.lead(record), [answer, *_made(used)])
 
 
