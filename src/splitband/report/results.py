@@ -120,8 +120,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
         "interrupted": comparison.interrupted,
         "residual_tests": [test.as_json() for test in comparison.residual_tests],
         "recommended": trial.recommended,
-        # Without seconds, which are below: equal comparisons have equal tables.
-        "table": [c.as_json() for c in columns(comparison) if c.unit != "seconds"],
+        "table": [c.as_json() for c in columns(comparison)],
         "search": [asdict(attempt) for attempt in comparison.attempts],
         "methods": {
             name: _method(comparison, name)

@@ -41,7 +41,7 @@ SHOWN = {
     "in interval": f"inside the {percent(COVERAGE)} interval",
 }
 """Displayed headings, below a title that says of which samples the numbers are."""
-DETAILS = "score", "fit (s)"
+DETAILS = ("score",)
 """Headings that a terminal shows on request."""
 NARROW = 8
 """Smallest width of a heading's line, in characters. Layout."""

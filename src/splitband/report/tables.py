@@ -206,9 +206,8 @@ def _errors(
     protocol: Protocol, measure: Callable[[Array, Array], Array], comparison: Comparison
 ) -> Iterator[Column]:
     """Yield the fits or errors of predictions, errors with their spread over the seeds."""
-    shown = predicted(comparison) if _runs_free(comparison) else []
-    every = [runs for runs in shown if runs.protocol == protocol]
-    for i, shown in enumerate(every, 1):
+    every = predicted(comparison) if _runs_free(comparison) else []
+    for i, shown in enumerate((runs for runs in every if runs.protocol == protocol), 1):
         values, spreads = {}, {}
         for name, median in shown.predictions.items():
             truth = shown.truth(median)
@@ -250,11 +249,6 @@ def _intervals(comparison: Comparison) -> list[Column]:
     held = {name: comparison.coverages(name) for name in methods}
     marks = {name: comparison.misfits(name) for name in methods}
     return _by_output(comparison.record, held, marks=marks)
-
-
-def _seconds(comparison: Comparison) -> list[Column]:
-    runs = comparison.fits.items()
-    return _over_all({n: statistics.mean(r.report.seconds for r in of) for n, of in runs})
 
 
 class Quantity(NamedTuple):
@@ -300,7 +294,6 @@ COLUMNS = {
     "held-out RMSE": Quantity(
         "record", _HELD_OUT, lambda c: _held_out(c.trial, c.record, c.fits) if c.trial else []
     ),
-    "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
 }
 """The columns of comparisons by heading."""
 
