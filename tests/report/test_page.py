@@ -86,7 +86,7 @@ def test_the_page_says_what_it_must_and_names_are_escaped(
     said, best = words_of(tree), everything.recommended
     assert titled(best, labels_of(everything)[best]) in said
     words = "samples are masked", "a note", "Error by frequency band"
-    assert all(each in said for each in (*words, "RMSE, later", "splitband compare 'a <b>'"))
+    assert all(each in said for each in (*words, "later, angle (rad)", "splitband compare 'a <b>'"))
 
 
 def test_a_page_is_written_whole_or_not_at_all(
@@ -277,7 +277,7 @@ def test_the_table_has_fits_near_and_far_and_the_interval(driven: Comparison) ->
     """One sample ahead of measurements, the last value is nearer than in a free run."""
     page = pages.of_comparison(driven, Usage())
     (table,) = next(section for section in page.sections if section.name == "methods").tables
-    *labels, interval = [table.heading(column) for column in table.columns]
+    *labels, interval = table.headings()
     assert labels == ["fit %", "fit % 1 sample ahead", "fit % 10 samples ahead", "RMSE"]
     assert interval.startswith("inside the 90")
     assert all(column.values[driven.recommended] > 0 for column in table.columns)
@@ -297,6 +297,27 @@ def test_an_integrator_has_no_static_gain() -> None:
     assert [column.entry("speed to y") for column in gains.columns] == ["integrating"]
 
 
+def test_an_unstable_plant_has_a_warning_responses_and_no_free_run() -> None:
+    rng = np.random.default_rng(0)
+    x, u = np.zeros(600), np.zeros(600)
+    for n in range(599):
+        u[n] = -0.4 * x[n] + rng.standard_normal()
+        x[n + 1] = 1.1 * x[n] + u[n]
+    record = Record(x + 0.01 * rng.standard_normal(600), 0.1, u=u, inputs=("torque",), name="rod")
+    found = sb.compare(record, 400, ["linear", "mean"], ahead=10)
+    page = pages.of_comparison(found, Usage())
+    sections = {section.name: section for section in page.sections}
+    assert sections["answer"].warnings[0].startswith("The recommended model is unstable")
+    step, *_ = sections["responses"].plots
+    assert step.caption == "Step, torque to y"
+    (table,) = sections["methods"].tables
+    assert table.headings() == [
+        "fit % 1 sample ahead",
+        "fit % 10 samples ahead",
+        "inside the 90\xa0% interval",
+    ]
+
+
 def test_the_answer_has_the_size_of_what_is_not_explained() -> None:
     """The model lacks the square of the input: no accusation without a size."""
     rng = np.random.default_rng(3)
@@ -308,7 +329,7 @@ def test_the_answer_has_the_size_of_what_is_not_explained() -> None:
     (first, *_) = words.answer(found)
     assert first.startswith(f"Simulation of 500 samples: fit {fit:.1f} %.")
     assert "still contain an effect of speed, perhaps a nonlinear one, which the model" in first
-    (size,) = re.findall(r"RMS ([\d.]+) % of its", first)
+    (size,) = re.findall(r"RMS of ([\d.]+) % of its", first)
     assert float(size) == pytest.approx(100 - fit, abs=1.0)
 
 

@@ -161,8 +161,8 @@ def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) 
         expected = np.sqrt(np.mean((y - held) ** 2))
         assert shown.values["persistence"] == pytest.approx(expected)
         assert shown.entry("persistence") in terminal
-        assert f"fit %, {channel}" in page
         fit = column(scales, "forecast fit %", channel)  # as MATLAB prints it
+        assert f"{channel} {fit.entry('persistence')}" in page
         expected = 100 * (1 - np.linalg.norm(y - held) / np.linalg.norm(y - y.mean()))
         assert fit.values["persistence"] == pytest.approx(expected)
         assert fit.best != "persistence"

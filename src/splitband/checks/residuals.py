@@ -157,31 +157,30 @@ class ResidualTests:
 
     def finding(self) -> str:
         """Return the finding of the tests in a sentence or two, with the size of the residuals."""
-        facts = [f"RMS {100 * self.size:.2g} % of its standard deviation"] if self.size else []
-        facts += [f"tested: the last {self.last:,} samples"] if self.last else []
-        of = f"{self.output} ({', '.join(facts)})" if facts else self.output
-        if self.dependent:
-            names = " and ".join(self.dependent)
-            if not self._alone:
-                names += ", perhaps a nonlinear one"
-            return (
-                f"The residuals of {of} still contain an effect of {names}, which "
-                f"the model does not describe (tested at {100 * CONFIDENCE:.0f} %)."
-            )
         if self.unrelated:
             return (
                 f"The inputs may be unrelated to {self.output}, which wanders like a random "
                 "walk: they do not help to predict its changes. An effect in the model may be "
                 "chance."
             )
-        independent = ["do not depend on the inputs"] if self.inputs else []
-        begin = f"The residuals of {of}"
-        if self.white:
-            return f"{begin} {' and '.join([*independent, 'are white noise'])}."
-        return (
-            f"{begin} {', but '.join([*independent, 'are not white noise'])}. Either a disturbance "
-            "acts or the model lacks dynamics; this record cannot tell which."
-        )
+        facts = list[str]()
+        if self.size is not None:
+            facts.append(f"have an RMS of {100 * self.size:.2g} % of its standard deviation")
+        if self.dependent:
+            effect = " and ".join(self.dependent) + ", perhaps a nonlinear one" * (not self._alone)
+            facts.append(f"still contain an effect of {effect}, which the model does not describe")
+        else:
+            facts += ["do not depend on the inputs"] if self.inputs else []
+            facts.append("are white noise" if self.white else "are not white noise")
+        link = " and " if self.dependent or self.white else ", but "
+        said = link.join(filter(None, [", ".join(facts[:-1]), facts[-1]]))
+        said = f"The residuals of {self.output} {said} (tested at {100 * CONFIDENCE:.0f} %)."
+        if not (self.dependent or self.white):
+            said += (
+                " Either a disturbance acts or the model lacks dynamics; this record cannot tell "
+                "which."
+            )
+        return said + (f" Tested are the last {self.last:,} samples." if self.last else "")
 
     def as_json(self) -> dict[str, Any]:
         """Return the tests for a JSON file."""

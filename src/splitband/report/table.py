@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from io import StringIO
 from typing import Any, Literal
 
@@ -153,52 +154,59 @@ class Table:
         """Return a row in words, without the short name."""
         return self.label(row).removesuffix(f" ({row})")
 
-    @property
+    @cached_property
     def lines(self) -> list[str]:
         """Return the outputs and test records to tell apart; a single one is not named."""
         lines = [*dict.fromkeys(c.line for c in self.columns if c.line)]
         return lines if len(lines) > 1 else []
 
-    def heading(self, column: Column) -> str:
-        """Return the heading of a column in a page, with its output and test record."""
-        return ", ".join(filter(None, [column.shown, self._line(column)]))
+    def headings(self, details: bool = True) -> list[str]:
+        """Return the headings of the numbers, perhaps without the `details`."""
+        shown = (c for c in self.columns if details or c.heading not in DETAILS)
+        return [*dict.fromkeys(c.shown for c in shown)]
 
-    def _line(self, column: Column) -> str:
-        return column.line if self.lines else ""
+    def cells(self, row: str, details: bool = True) -> dict[str, list[tuple[str, bool]]]:
+        """Return the numbers of a row, and whether each is the best of its column.
+
+        Outputs and test records to tell apart have lines of their own, by name; the first line,
+        named "", has the other numbers.
+        """
+        own = [c for c in self.columns if row in c.values]
+        every = {c.line for c in own}
+        lines = ["", *(line for line in self.lines if line in every)]
+        found = {
+            (c.line if self.lines else "", c.shown): (c.entry(row), c.best == row) for c in own
+        }
+        known = {c.shown for c in own}
+
+        def cell(line: str, heading: str) -> tuple[str, bool]:
+            missing = "" if line or heading in known else number(None)
+            return found.get((line, heading), (missing, False))
+
+        return {line: [cell(line, each) for each in self.headings(details)] for line in lines}
 
     def drawn(self, details: bool = False, box: Box | None = HEAVY_HEAD) -> rich.table.Table:
         """Return the table for a terminal, without its title; on request with `details`.
 
-        The best number of a column is bold. Outputs and test records have lines of their own below
-        the row. In a narrow terminal words are folded, and numbers never.
+        The best number of a column is bold. In a narrow terminal words are folded, and numbers
+        never.
         """
-        shown = [c for c in self.columns if details or c.heading not in DETAILS]
-        headings = [*dict.fromkeys(c.shown for c in shown)]
         table = rich.table.Table(box=box, padding=(0, 1, 0, 1) if box else (0, 2, 0, 0))
         table.add_column(self.head, overflow="fold")
-        for heading in headings:
-            entries = [c.entry(row) for c in shown if c.shown == heading for row in c.values]
+        for heading in self.headings(details):
+            entries = [c.entry(row) for c in self.columns if c.shown == heading for row in c.values]
             least = max(map(len, " ".join([heading, *entries]).split(" ")))
             most = max([NARROW, least, *map(len, entries)])
             table.add_column(heading, justify="right", min_width=least, max_width=most)
         for row in self.rows:
-            best, own = row == self.recommended, {c.line for c in shown if row in c.values}
+            best, lines = row == self.recommended, self.cells(row, details)
             mark = "* " if best else "  " * bool(self.recommended)
             label = Text(mark + titled(row, self.words(row)), "bold" if best else "")
-            lines = [line for line in self.lines if line in own]
-            for line in ["", *lines]:
+            for line, cells in lines.items():
                 first = Text(f"  {mark and '  '}{line}") if line else label
-                cells = [self._cell(row, heading, line) for heading in headings]
-                table.add_row(first, *cells, end_section=bool(lines) and line == lines[-1])
+                numbers = (Text(text, "bold" if of_best else "") for text, of_best in cells)
+                table.add_row(first, *numbers, end_section=len(lines) > 1 and line == [*lines][-1])
         return table
-
-    def _cell(self, row: str, heading: str, line: str) -> Text:
-        """Return the number of a row, or of one of its lines, under a heading."""
-        own = [c for c in self.columns if c.shown == heading and row in c.values]
-        for column in own:
-            if self._line(column) == line:
-                return Text(column.entry(row), "bold" if column.best == row else "")
-        return Text("" if own or line else number(None))
 
     def as_text(self, width: int = 100) -> str:
         """Return the table as text in lines of `width` characters.

@@ -169,7 +169,8 @@ def findings(comparison: Comparison) -> list[str]:
 def answer(comparison: Comparison) -> list[str]:
     """Return sentences on the fit of the recommended method, and on what it does not explain."""
     fits = "; ".join(f"{of}: {facts[0]}" for of, facts in headline(comparison))
-    return [" ".join([sentence(fits), *findings(comparison)]), *afterwards(comparison)]
+    begin = fits + "." if comparison.record.ny > 1 else sentence(fits)  # with a name
+    return [" ".join([begin, *findings(comparison)]), *afterwards(comparison)]
 
 
 def warnings(comparison: Comparison) -> list[str]:
@@ -199,6 +200,7 @@ def gravest(comparison: Comparison) -> list[str]:
 def further(comparison: Comparison) -> list[str]:
     """Return the other warnings, without those of residual tests."""
     return [
+        *_integrates(comparison),
         *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
         *_missing(comparison),
@@ -225,13 +227,18 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
 
 
 def _unstable(comparison: Comparison) -> list[str]:
-    """Return a sentence on a recommended model that is unstable, or integrates."""
+    """Return a sentence on an unstable recommended model."""
     fits = comparison.fits[comparison.recommended]
-    if said := [*filter(None, (fit.report.unstable() for fit in fits))]:
-        return [f"The recommended model is {said[0]}."]
-    if any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
-        return ["The recommended model integrates: a constant input makes it grow steadily."]
-    return []
+    said = [*filter(None, (fit.report.unstable() for fit in fits))]
+    return [f"The recommended model is {said[0]}."] if said else []
+
+
+def _integrates(comparison: Comparison) -> list[str]:
+    """Return a sentence on a recommended model that integrates."""
+    fits = comparison.fits[comparison.recommended]
+    if not any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
+        return []
+    return ["The recommended model integrates: a constant input makes it grow steadily."]
 
 
 def _seen(comparison: Comparison) -> list[str]:

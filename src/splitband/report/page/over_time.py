@@ -12,6 +12,7 @@ from splitband.forecasters.held_out import Origin, first_held_out
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import DIVERGED
 from splitband.records import Record
+from splitband.records.signals import unit_of
 from splitband.report.numbers import percent
 from splitband.report.page.charts import LOW, SMALL, TALL, Axis, Chart, limits
 from splitband.report.page.parts import Key
@@ -133,7 +134,7 @@ def _output(run: Run, looks: Mapping[str, Key], axis: Axis, i: int) -> list[Char
     caption = f"{column}, measured and predicted: {run.says}"
     if np.isfinite(predicted[: run.scored]).any():
         caption += "; before it, from the first samples"
-    chart = Chart(axis, column, scale, caption, height)
+    chart = Chart(axis, record.units[i] or column, scale, caption, height)
     for part, (first, last) in run.parts.items():
         ends = {"left": float(axis.values[first]), "right": float(axis.values[last])}
         chart.shade(Key(part, PARTS[part], shaded=True), **ends)
@@ -171,7 +172,8 @@ def _inputs(record: Record, axis: Axis) -> list[Chart]:
     u = np.zeros((len(record), 0)) if record.u is None else record.u
     for name, values in zip(record.inputs, u.T, strict=True):
         small = record.nu > MAX_TALL_CHANNELS
-        chart = Chart(axis, name, limits([values]), f"Input {name}", SMALL, small=small)
+        label = unit_of(name) or name
+        chart = Chart(axis, label, limits([values]), f"Input {name}", SMALL, small=small)
         chart.line(values, Key(name, "truth"), stepped=True, line_width=1.0)
         plots.append(chart)
     return plots
