@@ -11,7 +11,7 @@ from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.checks import repeats_training
 from splitband.comparison.methods import GREY_BOX, HYBRIDS
 from splitband.comparison.plan import UNFITTED_SIMULATOR, WITHOUT_TERMS
-from splitband.comparison.recommendation import RULE, Trial, by_reason
+from splitband.comparison.recommendation import Trial, by_reason
 from splitband.comparison.result import Comparison
 from splitband.forecasters.base import titled
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out, so_far_ahead
@@ -102,15 +102,17 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
     if len(able) > 1:
         second = number(trial.penalized_score(able[1]))
         chosen += f"; that of {called.get(able[1], able[1])} is {second}"
-    drifting = ", ".join(called.get(name, name) for name in trial.drifting)
-    return [
-        f"{chosen}.",
-        f"The score is {RULE}.",
-        *([f"The score of {drifting} is that of an unstable network."] if drifting else []),
-        f"Held out are the last {percent(HELD_OUT_SHARE)} of the {train:,} training samples: every "
-        "method was trained on the others and predicted these"
-        + (f", up to {ahead} samples ahead from many origins." if ahead else "."),
-    ]
+    chosen += (
+        ". The score is the error in standard deviations: every method was trained on the first "
+        f"{percent(1 - HELD_OUT_SHARE)} of the {train:,} training samples and predicted the rest"
+    )
+    chosen += f", up to {ahead} samples ahead from many origins." if ahead else "."
+    if trial.trained and set(trial.errors) - trial.trained:
+        chosen += f" Networks carry a penalty of {percent(WORTH_TRAINING)}."
+    if trial.drifting:
+        names = ", ".join(called.get(name, name) for name in trial.drifting)
+        chosen += f" The score of {names} (unstable) is that of simulating the training samples."
+    return [chosen]
 
 
 def afterwards(comparison: Comparison) -> list[str]:
@@ -169,8 +171,11 @@ def findings(comparison: Comparison) -> list[str]:
 def answer(comparison: Comparison) -> list[str]:
     """Return sentences on the fit of the recommended method, and on what it does not explain."""
     fits = "; ".join(f"{of}: {facts[0]}" for of, facts in headline(comparison))
-    begin = fits + "." if comparison.record.ny > 1 else sentence(fits)  # with a name
-    return [" ".join([begin, *findings(comparison)]), *afterwards(comparison)]
+    found = findings(comparison)
+    begin = [" ".join([sentence(fits), *found])]
+    if comparison.record.ny > 1:  # begins with a name
+        begin = [f"{fits}.", " ".join(found)]
+    return [*begin, *afterwards(comparison)]
 
 
 def warnings(comparison: Comparison) -> list[str]:

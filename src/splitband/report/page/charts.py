@@ -244,8 +244,8 @@ class Chart:
         edges = self.axis.edges(self._within(lower), self._within(upper))
         names = [self._kept(edge) for edge in edges]
         self._add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.25), key)
-        for name in names:  # in front of curves that hide the area
-            self._add(Line(x=X, y=name, line_width=1.2), key, level="overlay")
+        for name in names:
+            self._add(Line(x=X, y=name, line_width=1.2), key)
 
     def shade(self, key: Key, **edges: Any) -> None:
         """Shade a part of the chart: from `left` to `right`, or from `bottom` to `top`."""
@@ -260,7 +260,7 @@ class Chart:
         style: dict[str, Any] = {"line_dash": "dashed", "line_width": 1.2, "tags": [role]}
         self.figure.add_layout(Span(location=at, dimension=dimension, **style))
 
-    def _add(self, glyph: Any, key: Key, level: Any = "glyph") -> None:
+    def _add(self, glyph: Any, key: Key) -> None:
         """Add a glyph without Bokeh's glyphs for selections, which take most of a page's time."""
         if key not in self.keys:
             self.keys.append(key)
@@ -268,7 +268,7 @@ class Chart:
             ("selection_glyph", "nonselection_glyph", "muted_glyph")
         )
         renderer = GlyphRenderer(data_source=self.axis.source, glyph=glyph, name=key.name, **none)
-        renderer.update(tags=[key.color], visible=not key.hidden, level=level)
+        renderer.update(tags=[key.color], visible=not key.hidden)
         self.figure.renderers.append(renderer)
 
     def _within(self, y: Array) -> Array:

@@ -158,11 +158,11 @@ def _residuals(run: Run, shown: Mapping[str, Key], axis: Axis, i: int) -> Chart:
     caption += "" if run.half is None else f"; shaded: {percent(run.level)} interval"
     label, scale = run.record.units[i] or "residual", (max(low, -reach), min(high, reach))
     chart = Chart(axis, label, scale, caption, SMALL)
-    if run.half is not None:
-        chart.band(-half, half, Key("interval", look.color, shaded=True))
     for name in reversed([*shown]):
         key = shown[name] if others else Key("residual", MEASURED)
         chart.line(left[name], key, line_width=0.9)
+    if run.half is not None:  # in front of noise, which hides it
+        chart.band(-half, half, Key("interval", look.color, shaded=True))
     return chart
 
 
