@@ -53,7 +53,7 @@ def test_a_good_model_is_accepted_in_text_json_and_page(
     (test,) = found["residuals"]
     assert test["inputs"][0]["of"] == "force"
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "linear model (linear): the tests find nothing that the model lacks" in page
+    assert "Linear model (linear): the tests find nothing that the model lacks" in page
     assert "Step, force to x (mm): static gain" in page
     assert "--time-column time" in page
 

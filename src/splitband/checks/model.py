@@ -43,7 +43,7 @@ from splitband.training.settings import default_warmup
 
 AHEAD = 10
 """Usual horizon in samples of the predictions from within the record. Layout."""
-MOST_ONE_AHEAD = 4_000
+MOST_ONE_AHEAD = 2_000
 """Largest number of samples that an unstable model predicts one by one: the last ones. Bounds the
 time."""
 LONGER = 10
@@ -118,16 +118,17 @@ class ModelCheck:
         beyond = [signal.describe(names[signal.kind][signal.channel]) for signal in self.beyond]
         return sentences + beyond
 
-    def __str__(self) -> str:
-        fits = [
+    def fits_in_words(self) -> list[str]:
+        """Return the fits by output and horizon."""
+        return [
             f"{column}: fit {tenths(of[i])} % ({horizon})"
             for i, column in enumerate(self.record.columns)
             for horizon, of in self.fits.items()
         ]
-        begin = (
-            f"{self.title or self.method} on {self.record.name or 'the record'}: {self.summary()}"
-        )
-        return "\n".join([begin, *fits, *self.in_words()])
+
+    def __str__(self) -> str:
+        on = f"{self.title or self.method} on {self.record.name or 'the record'}"
+        return "\n".join([f"{on}: {self.summary()}", *self.fits_in_words(), *self.in_words()])
 
     def as_json(self) -> dict[str, Any]:
         """Return all results, for a JSON file."""

@@ -22,7 +22,7 @@ from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.held_out import fit_ahead, forecasts, many_origins
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.network import Network
-from splitband.metrics import fit_percent, tenths
+from splitband.metrics import fit_percent
 from splitband.records import Record
 from splitband.report import tables, words
 from splitband.report.environment import environment
@@ -255,14 +255,12 @@ def of_check(
     says = "simulation" if stable else f"the last {len(result.simulation):,} samples, one ahead"
     run = Run(record, says, {name: _placed(result.simulation.y, record)})
     drawn = looks({name: label})
-    facts = [
-        (column, "\n".join(f"fit {tenths(of[i])} %, {far}" for far, of in result.fits.items()))
-        for i, column in enumerate(record.columns)
-    ]
     answer = f"{result.title or name}: {result.summary()}"
+    fits = f"{'; '.join(result.fits_in_words())}."
+    said = [fits, *map(words.sentence, result.in_words())]
     plots = over_time.over_time(run, drawn)
     sections = [
-        Section("answer", answer, [*map(words.sentence, result.in_words())], plots, facts=facts),
+        Section("answer", answer[:1].upper() + answer[1:], said, plots),
         *_by_band(run, drawn, None),
         *_residuals(result.tests, [test.finding() for test in result.tests]),
         *(_responses(checked) if responses else []),
