@@ -116,7 +116,7 @@ class ModelCheck:
         sentences += self.simulation.doubts
         names = {"input": self.record.inputs, "output": self.record.columns}
         beyond = [signal.describe(names[signal.kind][signal.channel]) for signal in self.beyond]
-        return sentences + beyond
+        return sentences + [f"{said[:1].upper()}{said[1:]}." for said in beyond]
 
     def fits_in_words(self) -> list[str]:
         """Return the fits by output and horizon."""

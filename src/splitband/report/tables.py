@@ -86,12 +86,9 @@ def _horizons(comparison: Comparison) -> dict[str, int]:
     return {{1: "1", ahead: "N"}.get(samples, "N/10"): samples for samples in horizons(ahead)}
 
 
-def of_trial(
-    trial: Trial, record: Record, methods: Mapping[str, Forecaster], title: str = ""
-) -> Table:
+def of_trial(trial: Trial, record: Record, methods: Mapping[str, Forecaster], title: str) -> Table:
     """Return the table of a trial: one row per method, the recommended one first."""
     rows = dict.fromkeys(ordered(trial, trial.errors), "") | trial.without_result
-    title = title or f"{_called(record)}: RMSE on the last quarter, after training on the rest"
     listed = tried(trial, record, [*trial.errors])
     return _ranked(Table(title, listed, rows, labels=labels(rows, methods)), trial)
 

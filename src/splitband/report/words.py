@@ -203,12 +203,11 @@ def gravest(comparison: Comparison) -> list[str]:
 
 
 def further(comparison: Comparison) -> list[str]:
-    """Return the other warnings, without those of residual tests."""
+    """Return the other notes of a page, whose table says why a method has no result."""
     return [
         *_integrates(comparison),
         *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
-        *_missing(comparison),
         *_few_held_out(comparison.plan.train),
         *_notes(comparison),
         *_untested(comparison),
