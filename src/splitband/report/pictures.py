@@ -59,6 +59,9 @@ def rollouts(comparison: Comparison) -> Figure:
     for i, (ax, (name, channel)) in enumerate(
         zip(grid.flat, product(names, range(record.ny)), strict=False)
     ):
+        if name == names[0]:
+            prediction = shown.predictions[name]
+            _draw_interval(ax, times_of(record)[-len(prediction) :], prediction, channel)
         _draw(ax, shown, channel, name, PALETTE[i // record.ny % len(PALETTE)])
         words = textwrap.fill(literal(called[name]), TITLE)
         ax.set_title(f"{words}: {ax.get_title(loc='left')}", fontsize=9, loc="left")
@@ -67,7 +70,8 @@ def rollouts(comparison: Comparison) -> Figure:
     for ax in grid.flat[max(len(names) * record.ny - across, 0) : len(names) * record.ny]:
         ax.set_xlabel(time_label(record))
         ax.tick_params(labelbottom=True)
-    grid.flat[0].legend(fontsize=8, loc="lower left")
+    handles, said = grid.flat[0].get_legend_handles_labels()
+    figure.legend(handles, said, fontsize=8, loc="outside lower center", ncols=3, frameon=False)
     name = record.name or "a record"
     figure.suptitle(literal(f"{name}: {shown.says}"), fontsize=11)
     return figure
@@ -78,7 +82,6 @@ def _draw(ax: Axes, shown: Predicted, channel: int, name: str, color: str) -> No
     record, times, prediction = shown.record, times_of(shown.record), shown.predictions[name]
     y, truth = prediction.y[:, channel], shown.truth(prediction)[:, channel]
     at = times[len(times) - len(y) :]
-    _draw_interval(ax, at, prediction, channel)
     ax.plot(at, y, color=color, lw=2.5, label="predicted")  # shows behind
     measured = record.y_with_gaps[shown.first :, channel]
     ax.plot(times[shown.first :], measured, color=MEASURED, lw=0.7, label="measured")

@@ -7,6 +7,7 @@ have the numbers.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -197,15 +198,16 @@ class Table:
             entries = [c.entry(row) for c in self.columns if c.shown == heading for row in c.values]
             least = max(map(len, " ".join([heading, *entries]).split(" ")))
             most = max([NARROW, least, *map(len, entries)])
-            table.add_column(heading, justify="right", min_width=least, max_width=most)
+            header = textwrap.fill(heading, most, break_long_words=False)
+            table.add_column(header, justify="right", min_width=least)
         for row in self.rows:
             best, lines = row == self.recommended, self.cells(row, details)
-            mark = "* " if best else "  " * bool(self.recommended)
-            label = Text(mark + titled(row, self.words(row)), "bold" if best else "")
+            label = Text(titled(row, self.words(row)), "bold" if best else "")
             for line, cells in lines.items():
-                first = Text(f"  {mark and '  '}{line}") if line else label
+                mark = "  " if line else "*" if best else " " * bool(self.recommended)
+                head = _behind(mark, Text(line) if line else label) if mark else label
                 numbers = (Text(text, "bold" if of_best else "") for text, of_best in cells)
-                table.add_row(first, *numbers, end_section=len(lines) > 1 and line == [*lines][-1])
+                table.add_row(head, *numbers, end_section=len(lines) > 1 and line == [*lines][-1])
         return table
 
     def as_text(self, width: int = 100) -> str:
@@ -244,3 +246,12 @@ class Table:
         """Return the distinct remarks on rows; on request with `details`."""
         every = {n: (words, self.details.get(n, "") * details) for n, words in self.rows.items()}
         return by_reason({self.label(n): "; ".join(filter(None, of)) for n, of in every.items()})
+
+
+def _behind(mark: str, text: Text) -> rich.table.Table:
+    """Return a text that is folded behind a mark."""
+    grid = rich.table.Table.grid(padding=(0, 1, 0, 0))
+    grid.add_column(no_wrap=True)
+    grid.add_column(overflow="fold")
+    grid.add_row(mark, text)
+    return grid
