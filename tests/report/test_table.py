@@ -268,6 +268,17 @@ def test_rows_of_different_channels_have_the_lines_that_they_have() -> None:
     assert [line.split() for line in text.splitlines()[1:]] == [row.split() for row in rows]
 
 
+def test_a_test_record_has_a_line_of_its_own_beside_the_record() -> None:
+    numbers = {"arm": 90.0}
+    own, test = (Column(f"{of} fit %", "percent", numbers) for of in ("forecast", "test"))
+    alone = Table("", [replace(test, record="later")], {"arm": ""})
+    both = Table("", [replace(own, values={"arm": 80.0}), *alone.columns], {"arm": ""})
+    rows = [["arm", "90.0"]], [["arm", "80.0"], ["later", "90.0"]]
+    for table, expected in zip((alone, both), rows, strict=True):
+        lines = table.as_text().splitlines()[1:]
+        assert [line.split() for line in lines] == expected
+
+
 @pytest.mark.parametrize(
     ("values", "shown"),
     [

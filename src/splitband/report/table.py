@@ -157,9 +157,10 @@ class Table:
 
     @cached_property
     def lines(self) -> list[str]:
-        """Return the outputs and test records to tell apart; a single one is not named."""
+        """Return the outputs and test records to tell apart; a single one alone is not named."""
         lines = [*dict.fromkeys(c.line for c in self.columns if c.line)]
-        return lines if len(lines) > 1 else []
+        numbers = {(c.shown, c.line) for c in self.columns}
+        return lines if len(lines) > 1 or len(numbers) > len(self.headings()) else []
 
     def headings(self, details: bool = True) -> list[str]:
         """Return the headings of the numbers, perhaps without the `details`."""
