@@ -218,7 +218,7 @@ def test_a_terminal_folds_words_and_shows_every_number(
 
 
 @pytest.mark.parametrize("width", [20, 40, 60, 100])
-def test_a_terminal_that_is_too_narrow_for_a_table_gets_a_list(
+def test_a_terminal_that_is_too_narrow_for_a_table_cuts_no_number(
     width: int, scales: Comparison, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A table that is cut at the edge shows 98.75 as 98."""

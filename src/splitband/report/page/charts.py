@@ -142,13 +142,6 @@ class Axis:
         pairs = np.where(falls[:, None], np.stack([high, low], 1), np.stack([low, high], 1))
         return np.asarray(pairs.ravel())
 
-    def edges(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the lowest lower and the highest upper edge of an interval by bin, twice."""
-        if self.whole:
-            return lower, upper
-        low, high = np.fmin.reduceat(lower, self.bins), np.fmax.reduceat(upper, self.bins)
-        return np.repeat(low, 2), np.repeat(high, 2)
-
 
 def _range(low: float, high: float, name: str = "") -> Range1d:
     """Return a range with limits for panning and zooming."""
@@ -241,8 +234,7 @@ class Chart:
 
     def band(self, lower: Array, upper: Array, key: Key) -> None:
         """Add a shaded area between two curves."""
-        edges = self.axis.edges(self._within(lower), self._within(upper))
-        names = [self._kept(edge) for edge in edges]
+        names = [self._kept(self.axis.thinned(self._within(edge))) for edge in (lower, upper)]
         self._add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.25), key)
         for name in names:
             self._add(Line(x=X, y=name, line_width=1.2), key)
