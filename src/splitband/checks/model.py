@@ -27,6 +27,7 @@ from splitband.forecasters.held_out import (
     so_far_ahead,
 )
 from splitband.forecasters.prediction import Prediction, known_of
+from splitband.forecasters.simulation import simulators_of
 from splitband.metrics import (
     Extrapolation,
     ExtrapolationWarning,
@@ -182,7 +183,8 @@ def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> M
         fits = {"simulation": tuple(fit_percent(record.truth[begin:], free.y).tolist())}
         fits = ({} if unstable else fits) | _ahead(forecaster, record, begin, ahead)
         unchecked = f"the model is {unstable}" if unstable else ""
-        if "simulator" in forecaster.needs:
+        exported = any(simulator.own_times for simulator in simulators_of(forecaster))
+        if exported or "simulator" in forecaster.needs:
             unchecked = "it needs the simulator's output beyond the record"
         leaves = None if unchecked else _leaves(forecaster, record, begin)
     tests = tests_of(record, free, late=bool(unstable))
