@@ -367,6 +367,6 @@ def with_simulator(
     elif "simulator" in model.needs or model.parameters:
         said = next(filter(None, map(description_of, simulations(model))), "")
         raise InputError(
-            f"--simulator must be given for {model.name}, which runs one {said}".rstrip()
-            + ": --simulator FILE.py:NAME, or a file of its output or an FMU"
+            f"--simulator must be given for {model.name}, which runs a simulator {said}".rstrip()
+            + ": --simulator FILE.py:NAME, an FMU, or a file with its output"
         )
