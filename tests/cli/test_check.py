@@ -123,7 +123,7 @@ def test_a_model_with_a_simulator_says_how_to_give_it(
     plant = f"--simulator {tmp_path}/plant.py:plant --parameters gain=0.1:10"
     call(f"fit {folder}/first.csv --inputs force --method grey-box {plant}", tmp_path / "model")
     line = f"check {tmp_path}/model --record {folder}/second.csv --out {tmp_path}/out"
-    says = "--simulator must be given for grey-box, which runs a simulator", "--simulator FILE.py:NAME"
+    says = "--simulator must be given for grey-box, which runs", "--simulator FILE.py:NAME"
     assert_fails(line, says, capsys)
     call(f"{line} {plant}")
     assert results(tmp_path / "out")["fit"]["simulation"]["x (mm)"] > 10

@@ -113,8 +113,8 @@ class ModelCheck:
             )
         sentences += self.simulation.doubts
         names = {"input": self.record.inputs, "output": self.record.columns}
-        beyond = [signal.describe(names[signal.kind][signal.channel]) for signal in self.beyond]
-        return sentences + beyond
+        sentences += [signal.describe(names[signal.kind][signal.channel]) for signal in self.beyond]
+        return [f"{said[:1].upper()}{said[1:].removesuffix('.')}." for said in sentences]
 
     def __str__(self) -> str:
         fits = [
