@@ -259,3 +259,6 @@ def test_a_record_that_is_too_short_is_named() -> None:
     model = sb.Mean().fit(sb.Record(np.sin(np.arange(99.0)), 0.1))
     with pytest.raises(ValueError, match="record must have 50 samples after the warm-up of mean"):
         sb.check(model, sb.Record(np.sin(np.arange(40.0)), 0.1))
+    holed = np.where(np.arange(400) % 20, np.sin(np.arange(400.0)), np.nan)
+    with pytest.raises(ValueError, match="takes 50 samples in a row without gaps, got 400"):
+        sb.check(model, sb.Record.with_gaps(holed, 0.1))

@@ -175,8 +175,8 @@ def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> M
     free = _simulated(forecaster, record)
     if free is None:
         raise InputError(
-            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
-            f"got {len(record)}"
+            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, which "
+            f"takes {_warmup(forecaster, record)} samples in a row without gaps, got {len(record)}"
         )
     with without_warnings(ExtrapolationWarning):
         begin = len(record) - len(free)
@@ -223,13 +223,17 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
     return () if free is None else tests_of(record, free, late)
 
 
+def _warmup(forecaster: Forecaster, record: Record) -> int:
+    """Return the number of the first samples that set the state, as for test records."""
+    return max(forecaster.warmup or default_warmup(len(record)), 2)
+
+
 def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
     """Simulate a record from a warm-up on its first samples to its end; None for a short one.
 
     An unstable model predicts each sample from those before it instead.
     """
-    warmup = forecaster.warmup or default_warmup(len(record))  # as for test records
-    begin = first_after(record.y_with_gaps, max(warmup, 2))
+    begin = first_after(record.y_with_gaps, _warmup(forecaster, record))
     if begin is None or len(record) - begin < 2 * LAGS:
         return None
     other = not forecaster.anchored
