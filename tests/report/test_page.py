@@ -287,6 +287,7 @@ def test_the_table_has_fits_near_and_far_and_the_interval(driven: Comparison) ->
     *labels, interval = [column.label for column in table.columns]
     assert labels == ["fit %", "fit % 1 sample ahead", "fit % 10 samples ahead", "RMSE"]
     assert interval.startswith("inside the 90")
+    assert [*table.notes] == [*labels, interval]
     assert all(column.values[driven.recommended] > 0 for column in table.columns)
 
 
@@ -314,8 +315,8 @@ def test_the_answer_has_the_size_of_what_is_not_explained() -> None:
     fit = found.table["forecast fit %"]["linear"]
     (first, *_) = words.answer(found)
     assert first.startswith(f"Simulation of 500 samples: fit {fit:.1f} %.")
-    assert "A part of the effect of speed on y is not explained: the residuals are" in first
-    (size,) = re.findall(r"residuals are ([\d.]+)", first)
+    assert "A part of the effect of speed on y is not explained: the RMS of the residuals" in first
+    (size,) = re.findall(r"residuals is ([\d.]+)", first)
     assert float(size) == pytest.approx(100 - fit, abs=1.0)
 
 

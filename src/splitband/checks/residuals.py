@@ -170,10 +170,14 @@ class ResidualTests:
             "Either a disturbance acts or the model lacks dynamics; this record cannot tell which."
         )
 
+    def missed(self) -> str:
+        """Return the inputs in the residuals, as "a, b and c"; there must be one."""
+        *first, last = self.dependent
+        return f"{', '.join(first)} and {last}" if first else last
+
     def _effect(self) -> str:
         """Return a sentence with the inputs in the residuals."""
-        *first, last = self.dependent
-        names = f"{', '.join(first)} and {last}" if first else last
+        names = self.missed()
         if not self._alone:
             names += f", if only a nonlinear one (all tests together: p = {self.p:.1g})"
         return (

@@ -115,8 +115,8 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
     if trial.drifting:
         names = ", ".join(called.get(name, name) for name in trial.drifting)
         words.append(
-            f"That of {names}, which is unstable, is the error of its simulation of the training "
-            "samples, as it is larger."
+            f"The score of {names}, which is unstable, is the larger error of its simulation of "
+            "the training samples."
         )
     if trial.trained and set(trial.errors) - trial.trained:
         words.append(f"The scores of networks carry a penalty of {percent(WORTH_TRAINING)}.")
@@ -145,7 +145,7 @@ def afterwards(comparison: Comparison) -> list[str]:
         + (f" ({of})" if (of := c.record or c.channel) else "")
         for c in better
     )
-    return [f"In hindsight, a better fit had: {names}."]
+    return [f"In hindsight, another method had a better fit: {names}."]
 
 
 def _decisive(comparison: Comparison) -> list[Column]:
@@ -175,7 +175,7 @@ def answer(comparison: Comparison) -> list[str]:
     fits = "; ".join(f"{of}: {facts[0]}" for of, facts in headline(comparison))
     left = [unexplained(test) for test in comparison.residual_tests]
     if left and (how := _one_ahead(comparison)):
-        left.append(f"The residuals are those of the test record{how}, as the model is unstable.")
+        left.append(f"As the model is unstable, these residuals are those of the test record{how}.")
     return [" ".join([sentence(fits), *left]), *gravest(comparison), *afterwards(comparison)]
 
 
@@ -187,19 +187,19 @@ def _one_ahead(comparison: Comparison) -> str:
 
 def unexplained(test: ResidualTests) -> str:
     """Return a sentence on what a method leaves of an output, with its size."""
-    size = f"{percent(test.size or 0.0)} of the standard deviation"
+    size = f"{percent(test.size or 0.0)} of the output's standard deviation"
     if test.dependent:
         return (
-            f"A part of the effect of {' and '.join(test.dependent)} on {test.output} is not "
-            f"explained: the residuals are {size}."
+            f"A part of the effect of {test.missed()} on {test.output} is not explained: the RMS "
+            f"of the residuals is {size}."
         )
     if test.white:
-        return f"The residuals of {test.output} are white noise: {size}."
+        return f"The residuals of {test.output} are white noise; their RMS is {size}."
     if test.unrelated:
         return test.finding()
     return (
-        f"The residuals of {test.output}, {size}, are not white noise: a disturbance acts, or "
-        "the model lacks dynamics."
+        f"The residuals of {test.output} are not white noise: a disturbance acts, or the model "
+        f"lacks dynamics. Their RMS is {size}."
     )
 
 

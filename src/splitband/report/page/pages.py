@@ -132,7 +132,10 @@ def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
         except ValueError:  # for want of a simulator, as in the table
             continue
         fits[name] = [fit_ahead(record, made, ahead) for ahead in NEAR]
-    note = f"fit of forecasts so many samples ahead of {len(origins)} origins, measured until then"
+    note = (
+        f"fit of predictions this far ahead from {len(origins)} origins, each with all "
+        "measurements before it"
+    )
     return [
         Column(
             "near fit %",
@@ -152,12 +155,13 @@ def _residuals(tests: Sequence[ResidualTests]) -> list[Section]:
     """Return the section of the residual tests."""
     text = [
         " ".join(map(words.unexplained, tests)),
-        "Shown as they are tested: residuals and inputs are prewhitened, by the autoregressive "
-        "model of the residuals, but for the residuals' own past. Lags reach to twice the slowest "
-        f"period. Shaded: {100 * CONFIDENCE:.0f} % of the values by chance. Values outside at "
-        "positive lags show an effect of the input that the model misses; at negative lags, "
-        "feedback from the output to the input. The F test takes all lags and inputs together, and "
-        "powers of the output: it finds small effects that no single lag shows.",
+        "The plots show correlations as they are tested. For correlations with inputs, residuals "
+        "and inputs are prewhitened by an autoregressive model of the residuals. Lags reach twice "
+        f"the slowest period. By chance, {100 * CONFIDENCE:.0f} % of the values lie in the shaded "
+        "area. Values outside it show an effect of the input that the model misses (at positive "
+        "lags), or feedback from the output to the input (at negative lags). The F test takes all "
+        "lags and inputs together, and powers of the output: it detects small effects that no "
+        "single lag shows.",
     ]
     plots = [model.correlation(t.output, c) for t in tests for c in (t.whiteness, *t.inputs)]
     return [Section("residuals", "Residual tests", text, plots)] if tests else []
@@ -174,12 +178,12 @@ def _responses(recommended: Forecaster, label: str) -> list[Section]:
         return []
     first = every[0]
     text = (
-        f"Of {label}: the change of the output for a step of 1 of one input at a time, by small "
-        f"steps around the mean of the training inputs, {first.operating_point}."
+        f"The plots show how the output of {label} changes for a step of 1 of one input, "
+        f"computed by small steps around the mean of the training inputs, {first.operating_point}."
     )
     if len(every) > 1:
         text += (
-            " Dashed and dotted: around other points of their ranges. Where the curves differ, "
+            " Dashed and dotted curves are for other points of their ranges. If the curves differ, "
             "the gain depends on the operating point."
         )
     bode = len(first.inputs) * len(first.columns) <= MAX_BODE
