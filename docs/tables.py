@@ -48,8 +48,8 @@ NUMBERS: tuple[tuple[str, str], ...] = (
     ),
     (
         "README.md",
-        "Simulator and network combined: "
-        "{results/demo[table][0][values][residual-gru-conditioned]:.0f} %; through the filter pair "
+        "a network combined reach "
+        "{results/demo[table][0][values][residual-gru-conditioned]:.0f} %, with the filter pair "
         "{results/demo[table][0][values][filtered-gru-conditioned]:.0f} %",
     ),
     (
@@ -93,11 +93,11 @@ NUMBERS: tuple[tuple[str, str], ...] = (
     ),
     (
         "docs/why.md",
-        "On {over_best[records]} drawn records it had {over_best[mean]:.2f} times on average",
+        "On {over_best[records]} random records the ratio was {over_best[mean]:.2f} on average",
     ),
     (
         "docs/howto/intervals.md",
-        "With networks: {benchmarks/recommendation-default[all][inside]:.0%}",
+        "With networks, {benchmarks/recommendation-default[all][inside]:.0%}",
     ),
     *(
         (
@@ -396,10 +396,10 @@ def filter_pays() -> str:
         return f"({within}{'; undecided' if row['verdict'] == 'undecided' else ''})"
 
     return (
-        f"In {residual['n']} drawn systems whose simulator is right below a frequency and noise "
-        f"above, the filtered hybrid has\n{residual['ratio']:.2f} times the error of the hybrid "
-        f"without a filter {told(residual)},\nand {control['ratio']:.2f} times that of a hybrid "
-        f"which filters the simulator alone {told(control)}."
+        f"On {residual['n']} random systems, whose simulator is accurate below a frequency and "
+        f"noise above it, the filtered hybrid has\n{residual['ratio']:.2f} times the error of the "
+        f"hybrid without a filter {told(residual)},\nand {control['ratio']:.2f} times that of a "
+        f"hybrid that filters only the simulator {told(control)}."
     )
 
 

@@ -246,7 +246,19 @@ def test_a_free_run_that_leaves_the_range_and_an_input_beyond_it_are_named() -> 
     assert any("force" in line and "range in training" in line for line in found.in_words())
 
 
+def test_no_long_free_run_is_asked_of_a_model_with_an_exported_trajectory() -> None:
+    time = 0.1 * np.arange(400)
+    truth = sb.Recorded.of(sb.Record(np.sin(time), 0.1))
+    record = sb.Record(1.1 * np.sin(time), 0.1)
+    found = sb.check(sb.Calibrated(truth, ("gain",)).fit(record[:300]), record)
+    assert found.fits["simulation"] == pytest.approx([100.0])
+    assert "it needs the simulator's output beyond the record" in str(found)
+
+
 def test_a_record_that_is_too_short_is_named() -> None:
     model = sb.Mean().fit(sb.Record(np.sin(np.arange(99.0)), 0.1))
     with pytest.raises(ValueError, match="record must have 50 samples after the warm-up of mean"):
         sb.check(model, sb.Record(np.sin(np.arange(40.0)), 0.1))
+    holed = np.where(np.arange(400) % 20, np.sin(np.arange(400.0)), np.nan)
+    with pytest.raises(ValueError, match="takes 50 samples in a row without gaps, got 400"):
+        sb.check(model, sb.Record.with_gaps(holed, 0.1))

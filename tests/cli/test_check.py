@@ -97,7 +97,7 @@ def test_several_models_are_drawn_over_one_record_with_their_fits_in_a_table(
 def test_several_models_are_compared_the_same_number_of_samples_ahead(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Also an unstable one, of which no free run is demanded."""
+    """Also an unstable one, of which no free run is demanded; `simulate` says that it is."""
     made = pendulum(0)
     table = pd.DataFrame({"time": made.sampling_time * np.arange(len(made)), **made.signals})
     table.to_csv(tmp_path / "record.csv", index=False)
@@ -113,6 +113,10 @@ def test_several_models_are_compared_the_same_number_of_samples_ahead(
     row = next(line for line in lines if "last value" in line and "│" in line)
     shown = [cell.strip() for cell in row.split("│")[2:-1]]
     assert shown == [tenths(fit) for of in held.values() for fit in of.values()]
+    table[:200].to_csv(tmp_path / "history.csv", index=False)
+    known = f"--history {tmp_path}/history.csv --future-inputs {tmp_path}/record.csv"
+    call(f"simulate {tmp_path}/linear {known} --steps 5", tmp_path / "ahead.csv")
+    assert "warning: linear is unstable: largest pole" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("drawn")
@@ -123,7 +127,7 @@ def test_a_model_with_a_simulator_says_how_to_give_it(
     plant = f"--simulator {tmp_path}/plant.py:plant --parameters gain=0.1:10"
     call(f"fit {folder}/first.csv --inputs force --method grey-box {plant}", tmp_path / "model")
     line = f"check {tmp_path}/model --record {folder}/second.csv --out {tmp_path}/out"
-    says = "--simulator must be given for grey-box, which runs one", "--simulator FILE.py:NAME"
+    says = "--simulator must be given for grey-box, which runs", "--simulator FILE.py:NAME"
     assert_fails(line, says, capsys)
     call(f"{line} {plant}")
     assert results(tmp_path / "out")["fit"]["simulation"]["x (mm)"] > 10

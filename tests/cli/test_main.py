@@ -105,7 +105,7 @@ def test_an_export_says_how_to_begin_elsewhere(
 ) -> None:
     call("fit record.csv --columns a --method harmonic", tmp_path / "harmonic")
     for folder, file, said in (
-        (model, "rig.c", "call rig_clear, and let it observe 10 measured sample(s) or more."),
+        (model, "rig.c", "call rig_clear, and let it observe at least 10 measured sample(s)."),
         (model, "rig.onnx", "to begin elsewhere, export it with --history."),
         (tmp_path / "harmonic", "rig.c", "export it with --history, as its periods count time."),
     ):

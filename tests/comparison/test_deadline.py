@@ -167,6 +167,17 @@ def test_a_fit_that_would_take_too_long_again_is_not_begun(monkeypatch: pytest.M
     assert note.startswith("patient: could not be fitted to the whole training part in time")
 
 
+def test_a_fit_that_fits_into_the_time_left_is_made_beside_networks_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("splitband.comparison.clock.MOST_OF_BASELINE", 110.0)
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(PlanRequest(RECORD, TRAIN, [Patient(), "mean", "gru"], budget=1e6, **SMALL))
+    result = run(planned, clock=Clock(300.0, clock.at))
+    assert len(result.fits["patient"][0].fitted.require_fitted().record) == TRAIN
+    assert not any("patient" in note for note in result.clock.notes)
+
+
 def test_counted_rounds_limit_no_baseline_and_wait_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Forecaster | str] = [Patient(), "harmonic", "mean", "gru"]
     one = compare(RECORD, TRAIN, asked, rounds=2, **SMALL)

@@ -54,7 +54,7 @@ def test_a_forecaster_warns_of_signals_that_it_was_not_trained_on(tmp_path: Path
     fahrenheit = replace(training, y=1.8 * training.y + 320)
     with pytest.warns(ExtrapolationWarning, match="output y is beyond its range"):
         model.predict(20, fahrenheit, u[:20], other_record=True)
-    assert "output y is beyond its range" in str(check(model, fahrenheit))
+    assert "Output y is beyond its range" in str(check(model, fahrenheit))
 
 
 def test_commands_warn_of_inputs_beyond_training(

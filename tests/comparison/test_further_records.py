@@ -57,7 +57,7 @@ def test_what_depends_on_the_time_says_that_it_knows_but_one_record() -> None:
     found = compare(STILL, ["seasonal-naive", "mean"], SETUP, others=[MOVED])
     assert "fitted to the first record only" in found.table["note"]["seasonal-naive"]
     assert "first record" not in found.table["note"]["mean"]
-    assert "1 more record(s) train, of which nothing is held out" in of_comparison(found).title
+    assert "includes 1 more record(s), none held out" in of_comparison(found).title
 
 
 def test_a_network_stands_on_a_linear_model_of_all_records(linear: sb.Linear) -> None:

@@ -191,7 +191,7 @@ def test_a_method_of_which_every_last_training_fails_does_not_end_a_comparison()
     assert result.recommended == "mean"
     assert {*result.fits} == {"diverging", "mean"}
     (note,) = result.clock.notes
-    assert "(it diverged); results are of three quarters" in note
+    assert "(it diverged); its results are those of a model trained on three quarters" in note
 
 
 def test_the_seeds_that_did_not_diverge_are_handed_out() -> None:

@@ -175,6 +175,9 @@ def test_errors_name_the_test_record() -> None:
     short = TESTS[0][:WARMUP]
     with pytest.raises(ValueError, match="warmup must fit into the test record rig 1 of 12"):
         compare(driven(TRAIN, 0), methods, SETUP, tests=[short])
+    holes = replace(TESTS[0], measured=np.arange(len(TESTS[0]))[:, None] % WARMUP > 0)
+    with pytest.raises(ValueError, match="between its gaps and with samples to predict after it"):
+        compare(driven(TRAIN, 0), methods, SETUP, tests=[holes])
     other = replace(TESTS[0], u=None, inputs=())
     with pytest.raises(ValueError, match="rig 1 must have the training record's 1 channel"):
         compare(driven(TRAIN, 0), methods, SETUP, tests=[other])

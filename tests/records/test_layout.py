@@ -82,6 +82,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         ("frame.csv", ",0,1\n", "{i},{i},{y}", 1, "1"),
         ("several.csv", "X,1\nForce,T\ns,mm\n", "{i},{y}", 1, "T [mm]"),
         ("skip.csv", "1,2\n3,4\ntime,T\n", "{i},{y}", 1, "T"),
+        ("german.csv", "Zeitstempel;x\n;°C\n", "{at:%d.%m.%Y %H:%M:%S};{y}", 1, "x [°C]"),
         ("both.csv", "time,T\nx,1\n3,4\n", "{i},{y}", 1, "T"),
         ("none.csv", "", "{i},{y}", 1, "1"),
     ],
@@ -99,8 +100,8 @@ def test_headers_of_instruments(
     ("text", "options", "words"),
     [
         ("time,y\n0,Bad\n1,2\n2,3\n", {}, "line 2 holds '0' and 'Bad'"),
-        ("Rate,100 Hz\nu,y\n1,2\n2,3\n", {}, "lines 1 and 2 may all hold the names"),
-        ("y\nmm\n1\n2\n", {}, "lines 1 and 2 may all hold the names of the columns: header_row=1"),
+        ("Rate,100 Hz\nu,y\n1,2\n2,3\n", {}, "each of the lines 1 and 2 may hold the names"),
+        ("y\nmm\n1\n2\n", {}, "may hold the names of the columns: header_row=1"),
         ("Logger X1\n1,2\n2,3\n", {}, "line 1 holds 1 name, line 2 2 cells: skip_rows=1"),
         ("u,y\n0,5,1,5\n1,5,2,5\n", {}, "decimal commas need ; or tabs"),
         ("time x\n1 0.5 2\n2 1 3\n", {}, "line 1 holds 2 names, line 2 3 cells"),

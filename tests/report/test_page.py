@@ -277,6 +277,7 @@ def test_the_table_has_fits_near_and_far_and_the_interval(driven: Comparison) ->
     *labels, interval = table.headings()
     assert labels == ["fit %", "fit % 1 sample ahead", "fit % 10 samples ahead", "RMSE"]
     assert interval.startswith("inside the 90")
+    assert [*table.notes] == [*labels, interval]
     assert all(column.values[driven.recommended] > 0 for column in table.columns)
 
 

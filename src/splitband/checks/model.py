@@ -27,6 +27,7 @@ from splitband.forecasters.held_out import (
     so_far_ahead,
 )
 from splitband.forecasters.prediction import Prediction, known_of
+from splitband.forecasters.simulation import simulators_of
 from splitband.metrics import (
     Extrapolation,
     ExtrapolationWarning,
@@ -115,8 +116,8 @@ class ModelCheck:
             )
         sentences += self.simulation.doubts
         names = {"input": self.record.inputs, "output": self.record.columns}
-        beyond = [signal.describe(names[signal.kind][signal.channel]) for signal in self.beyond]
-        return sentences + [f"{said[:1].upper()}{said[1:]}." for said in beyond]
+        sentences += [signal.describe(names[signal.kind][signal.channel]) for signal in self.beyond]
+        return [f"{said[:1].upper()}{said[1:].removesuffix('.')}." for said in sentences]
 
     def fits_in_words(self) -> list[str]:
         """Return the fits by output and horizon."""
@@ -178,15 +179,16 @@ def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> M
     free = _simulated(forecaster, record)
     if free is None:
         raise InputError(
-            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
-            f"got {len(record)}"
+            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, which "
+            f"takes {_warmup(forecaster, record)} samples in a row without gaps, got {len(record)}"
         )
     with without_warnings(ExtrapolationWarning):
         begin = len(record) - len(free)
         fits = {"simulation": tuple(fit_percent(record.truth[begin:], free.y).tolist())}
         fits = ({} if unstable else fits) | _ahead(forecaster, record, begin, ahead)
         unchecked = f"the model is {unstable}" if unstable else ""
-        if "simulator" in forecaster.needs:
+        exported = any(simulator.own_times for simulator in simulators_of(forecaster))
+        if exported or "simulator" in forecaster.needs:
             unchecked = "it needs the simulator's output beyond the record"
         leaves = None if unchecked else _leaves(forecaster, record, begin)
     tests = tests_of(record, free, late=bool(unstable))
@@ -225,14 +227,18 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
     return () if free is None else tests_of(record, free, late)
 
 
+def _warmup(forecaster: Forecaster, record: Record) -> int:
+    """Return the number of the first samples that set the state, as for test records."""
+    return max(forecaster.warmup or default_warmup(len(record)), 2)
+
+
 def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
     """Simulate a record from a warm-up on its first samples to its end; None for a short one.
 
     An unstable model predicts each of the last `MOST_ONE_AHEAD` samples from those before it
     instead.
     """
-    warmup = forecaster.warmup or default_warmup(len(record))  # as for test records
-    begin = first_after(record.y_with_gaps, max(warmup, 2))
+    begin = first_after(record.y_with_gaps, _warmup(forecaster, record))
     if begin is None or len(record) - begin < 2 * LAGS:
         return None
     other = not forecaster.anchored

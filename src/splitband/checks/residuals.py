@@ -167,7 +167,9 @@ class ResidualTests:
         if self.size is not None:
             facts.append(f"have an RMS of {100 * self.size:.2g} % of its standard deviation")
         if self.dependent:
-            effect = " and ".join(self.dependent) + ", perhaps a nonlinear one" * (not self._alone)
+            *first, last = self.dependent
+            effect = f"{', '.join(first)} and {last}" if first else last
+            effect += "" if self._alone else ", perhaps a nonlinear one"
             facts.append(f"still contain an effect of {effect}, which the model does not describe")
         else:
             facts += ["do not depend on the inputs"] if self.inputs else []

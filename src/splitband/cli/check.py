@@ -32,7 +32,8 @@ def check(
     record: Annotated[
         Path,
         options.plain(
-            "Measured samples with the columns of the training record, best of another run.", "FILE"
+            "Measured samples with the columns of the training record, preferably of another run.",
+            "FILE",
         ),
     ],
     simulator: options.SimulatorOptions,

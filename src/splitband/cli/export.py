@@ -81,10 +81,10 @@ def export(
     elif forecaster.anchored:
         elsewhere += ", as its periods count time"
     elif cleared:
-        elsewhere = f"{cleared}, and let it observe {needed} measured sample(s) or more"
+        elsewhere = f"{cleared}, and let it observe at least {needed} measured sample(s)"
     printing.console.print(
-        f"It begins at the end of {history or 'the training record'}; to begin elsewhere, "
-        f"{elsewhere}."
+        f"The exported model begins at the end of {history or 'the training record'}; to begin "
+        f"elsewhere, {elsewhere}."
     )
     facts: dict[str, Any] = {"model": str(model_dir), "method": forecaster.name}
     facts |= {"precision": precision, "files": [str(file) for file in written]}

@@ -32,12 +32,12 @@ def methods() -> None:
 
     Use a network alone for any record, `split-gru` for one with a slow and a fast part, and a
     hybrid for one with a simulator that is roughly right or with a simple slow part. The other
-    methods are references to beat. Give names to --methods, separated by commas.
+    methods are references to beat. --methods takes names, separated by commas.
     """
     say = printing.console.print
     say(f"networks alone: {', '.join(NETWORKS)}")
-    say("networks in two bands: split-gru; split-gru-hp, with a high-pass filter; -conditioned")
-    say("\nhybrids: a name has a part of each column, such as filtered-linear-gru-conditioned")
+    say("networks in two bands: split-gru, split-gru-hp (with a high-pass filter), -conditioned")
+    say("\nhybrids: join a part of each column, as in filtered-linear-gru-conditioned")
     table = Table(*COLUMNS)
     table.add_row(*("\n".join(parts) for parts in COLUMNS.values()))
     say(table)

@@ -230,15 +230,15 @@ Methods = Annotated[
         "what suits the record",
     ),
 ]
-_SEEDS = "Train each network N times and predict their median (in a search: the best network)."
+_SEEDS = "Train each network (in a search: the best one) N times and predict the median."
 Seeds = Annotated[int | None, _TRAINING(_SEEDS, "N", "1 to 8", min=1)]
 Ahead = Annotated[
     int | None,
     plain(
-        "Train and compare models for predictions N samples ahead, each from the measurements "
-        "until then.",
+        "Train and compare models for predictions N samples ahead, each from all measurements "
+        "before it.",
         "N",
-        "one free run",
+        "one long simulation",
         min=1,
     ),
 ]
@@ -286,7 +286,7 @@ class FileOptions:
         "Refuse missing values and rows, or mask them.", "refuse|mask", default="refuse"
     )
     missing: str | None = _record(
-        "Words or numbers that stand for a missing value: Bad,-9999.", "WORDS"
+        "Words or numbers that stand for a missing value, such as Bad,-9999.", "WORDS"
     )
     step: Any = _record(  # float, "auto" or None
         "Interpolate samples at uneven times to this step, or average over it if it is longer. "
@@ -342,11 +342,13 @@ class RecordOptions(FileOptions):
     )
     runs: str | None = _record(
         "The file has several runs: name the column that numbers them, or the time column if it "
-        "starts again with each run. The first run is the record, the others train like --more.",
+        "starts again with each run. The first run is the record; the others are added like "
+        "--more.",
         "NAME",
     )
     detrend: bool = _record(
-        "Subtract the means of outputs and inputs, also from the results.", default=False
+        "Subtract the means of outputs and inputs; results are then deviations from them.",
+        default=False,
     )
     sampling_time: float | None = _record(
         "Time between samples, if the time column is missing or ambiguous.", "SECONDS"
@@ -369,7 +371,7 @@ class TestRecords:
 
     __test__ = False  # for pytest: not a test class
 
-    test: list[str] | None = _record("Validate on this record. May be repeated.", "FILE")
+    test: list[str] | None = _record("Test the models on this record. May be repeated.", "FILE")
     test_simulator: list[str] | None = _simulator(
         "The simulator of each --test, in the same order.", "FILE"
     )

@@ -234,8 +234,8 @@ def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -
         past = _read(file, rule, files, record, **own)[0]
     except ColumnError as error:
         raise ColumnError(
-            f"{error}; a simulation begins with {model.warmup or 'some'} measured samples of every "
-            "output, from which the state of the model is estimated"
+            f"{error}; {option} must have all of these, as measured outputs set the initial state "
+            "of the model"
         ) from None
     past = replace(past, columns=record.columns).like(record)
     announce(past, str(file))
@@ -367,6 +367,6 @@ def with_simulator(
     elif "simulator" in model.needs or model.parameters:
         said = next(filter(None, map(description_of, simulations(model))), "")
         raise InputError(
-            f"--simulator must be given for {model.name}, which runs one {said}".rstrip()
-            + ": --simulator FILE.py:NAME, or a file of its output or an FMU"
+            f"--simulator must be given for {model.name}, which runs a simulator {said}".rstrip()
+            + ": --simulator FILE.py:NAME, an FMU, or a file with its output"
         )

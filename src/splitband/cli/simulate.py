@@ -105,6 +105,8 @@ def simulate(
     known: dict[str, Any] = {"u": u, "level": level, "other_record": other_run}
     if history is not None:
         known["history"] = past
+    if unstable := fitted.report.unstable():
+        printing.warn(f"{forecaster.name} is {unstable}")
     found = predicted(out, history or "the training record", forecaster, steps, **known)
     written = {"model": str(model_dir), "method": forecaster.name, "steps": steps, "file": str(out)}
     printing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})

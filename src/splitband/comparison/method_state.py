@@ -40,7 +40,7 @@ class MethodState:
             return ""
         how, why = "trained on" if self.method.random else "fitted to", reason_of(self.failure)
         said = f"could not be {how} the whole training part {why}"
-        return f"{said}; results are of three quarters of it"
+        return f"{said}; its results are those of a model {how} three quarters of it"
 
     def end(self, fits: Mapping[Job, Fit]) -> None:
         """Take the fits of all final trainings; a note names those without a model."""

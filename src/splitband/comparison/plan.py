@@ -481,9 +481,10 @@ def _check_test(test: Record, plan: Plan) -> None:
     name, samples = "warmup" if plan.initial is None else "initial", _warmup_on_tests(plan)
     begin = first_after(test.y_with_gaps, samples)
     if begin in (None, len(test)):
+        between = "" if test.measured is None else "between its gaps and "
         raise InputError(
-            f"{name} must fit into the test record {test.name} of {len(test)} samples, with "
-            f"samples to predict after it, got {samples}"
+            f"{name} must fit into the test record {test.name} of {len(test)} samples, {between}"
+            f"with samples to predict after it, got {samples}"
         )
     if np.isnan(test.y_with_gaps[begin:]).all(axis=0).any():
         raise InputError(

@@ -221,8 +221,10 @@ class RunningComparison:
             state.trial, self._trial = [fit], None
             job = Job(method, self.plan.spec(method))
             took = max(fit.seconds, fit.report.seconds)  # a simulator was fitted before its job
-            if method.at_once or took < (1 - HELD_OUT_SHARE) * self._half().left:
-                self._bases.fit(method, [self.plan.training, *self.plan.others], self._half())
+            # A fit with a limit of its own takes little from the networks beside it.
+            until = self._half() if method.fits_simulator else self.clock.deadline
+            if method.at_once or took < (1 - HELD_OUT_SHARE) * until.left:
+                self._bases.fit(method, [self.plan.training, *self.plan.others], until)
             else:
                 job = replace(job, start=fit.model, trains=False)
             self._begin(job)

@@ -150,8 +150,8 @@ def _for_this(folder: Path, files: Sequence[str], name: str) -> dict[str, bytes]
     )
     # A warning, as Python prints these even where no logging has been set up.
     _LOG.warning(
-        "the FMU runs on %s (%s) alone, and elsewhere once its sources are compiled; "
-        "for Windows, Linux and macOS: %s, and export again",
+        "the FMU runs only on %s (%s), or where its sources are compiled; for Windows, Linux and "
+        "macOS: %s, and export again",
         {each.folder: each.name for each in PLATFORMS}.get(here, here),
         platform.machine(),
         OTHERS,

@@ -55,14 +55,14 @@ class Variable:
 
 
 FLAGS = (
-    Variable("observe", "input", "take the measured samples in place of predicting", False),
+    Variable("observe", "input", "take the measured samples instead of predicting", False),
     Variable("begin_empty", "parameter", "begin with nothing measured", False),
 )
 
 ORDER = (
-    "Order in a tool: set the inputs of a sample, read its outputs, make the step to the next one. "
-    "A tool that reads after a step, before it sets the next inputs, such as FMPy's simulate_fmu, "
-    "gets each output for the inputs of the sample before."
+    "At each sample, a tool must set the inputs, read the outputs, then make the step. A tool that "
+    "reads outputs after the step, such as FMPy's simulate_fmu, gets each output for the previous "
+    "inputs."
 )
 """What a user must know of the order in which an FMU's outputs are read."""
 

@@ -1,9 +1,9 @@
 """Find the names of a text table's columns, and its first row of numbers.
 
 Numbers begin with the first row without a word in any column of numbers; the names stand above it,
-in the row that has a name for all of these columns and, of several, names the time. What lies
-between are units, what lies above is left out. Where this leaves a choice, the file is refused,
-with the lines and what to do.
+in the row that has a name for all of these columns and, of several, names the time, or alone has
+a name for the first column. What lies between are units, what lies above is left out. Where this
+leaves a choice, the file is refused, with the lines and what to do.
 """
 
 from __future__ import annotations
@@ -209,10 +209,12 @@ def _chosen(above: Sequence[Row], body: Sequence[Row], columns: Columns) -> tupl
             f"says which line holds the names{commas if below.width == 2 * width else ''}"
         )
     names, *more = [row for row in full if row.timed] or full
-    if more:
+    of_units = names.cells[0] and not any(row.cells[0] for row in more)  # the time's has none
+    if more and not of_units:
         raise InputError(
-            f"lines {' and '.join(str(row.line) for row in (names, *more))} may all hold the names "
-            f"of the columns: header_row={names.line} (--header-row) says which"
+            f"each of the lines {' and '.join(str(row.line) for row in (names, *more))} may hold "
+            f"the names of the columns: header_row={names.line} (--header-row) takes the first, "
+            "and the next one as units"
         )
     if unit := next(filter(_BRACKETS.fullmatch, names.cells), ""):
         raise InputError(

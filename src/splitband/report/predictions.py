@@ -61,7 +61,8 @@ def what_was_known(comparison: Comparison) -> str:
     information += [] if record.y_sim is None else ["the simulator's output"]
     if comparison.tests:
         first = "the first samples of the outputs"
-        return f"Models see {', '.join([*information, first])} of a test record, and no others."
+        known = f"{', '.join(information)} and {first}" if information else first
+        return f"Of a test record, models see only {known}."
     if not information:
         return "Models see nothing of these samples."
     return f"Models see {' and '.join(information)} here, not the measurements."

@@ -72,13 +72,17 @@ class Column:
         return f"{what}, {self.channel}" if self.channel else what
 
     @property
+    def kind(self) -> str:
+        """Return the displayed heading, without a unit."""
+        if self.ahead:
+            return f"fit % {so_far_ahead(self.ahead)}"
+        return SHOWN.get(self.heading, self.heading)
+
+    @property
     def shown(self) -> str:
         """Return the displayed heading, with the unit unless in the channel's name."""
-        shown = SHOWN.get(self.heading, self.heading)
-        if self.ahead:
-            shown = f"fit % {so_far_ahead(self.ahead)}"
         with_unit = self.measure and self.unit == "record" and not self.channel
-        return f"{shown} ({self.measure})" if with_unit else shown
+        return f"{self.kind} ({self.measure})" if with_unit else self.kind
 
     @property
     def line(self) -> str:
@@ -145,7 +149,7 @@ class Table:
     @property
     def notes(self) -> dict[str, str]:
         """Return explanations by heading."""
-        return {SHOWN.get(c.heading, c.heading): c.note for c in self.columns if c.note}
+        return {c.kind: c.note for c in self.columns if c.note}
 
     def label(self, row: str) -> str:
         """Return a row in words."""

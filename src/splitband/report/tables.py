@@ -43,7 +43,7 @@ def of_comparison(comparison: Comparison) -> Table:
     ahead = f"; each method then predicted the next {after:,} in one {run_of(record)}"
     tests = f"; each method then simulated {' and '.join(t.name for t in comparison.tests)}"
     others = len(comparison.others)
-    more = f" {others} more record(s) train, of which nothing is held out." if others else ""
+    more = f" The training part includes {others} more record(s), none held out." if others else ""
     title = (
         f"{_called(record)}: the training part has {train:,} samples"
         + (ahead if after and _runs_free(comparison) else "")
@@ -75,7 +75,8 @@ def _from_origins(comparison: Comparison) -> str:
     counts = " and ".join(str(len(forecasts)) for _, forecasts in found)
     steps = ", ".join(map(str, _horizons(comparison).values()))
     return (
-        f" Fits {steps} samples ahead are from {counts} origins, with the measurements until each."
+        f" Fits {steps} samples ahead are from {counts} origins, each with all measurements before "
+        "it."
     )
 
 
@@ -258,8 +259,8 @@ class Quantity(NamedTuple):
 
 _FIT = "100 (1 - |y - prediction| / |y - mean(y)|) of the"
 _OF_AHEAD = (
-    f"{_FIT} samples that are this far ahead of many origins, each with the measurements until "
-    "then: 100 is perfect, 0 is as good as their mean"
+    f"{_FIT} predictions this far ahead from many origins, each with all measurements before it: "
+    "100 is perfect, 0 is as good as the mean"
 )
 _OF_TEST = f"{_FIT} simulation of this test record: 100 is perfect, 0 is as good as its mean"
 _AHEAD = (
@@ -268,9 +269,9 @@ _AHEAD = (
 )
 _INSIDE = (
     "share of the measured samples after the training part, or of those ahead, in the "
-    f"interval; {percent(COVERAGE)} is ideal; narrow, wide: off by more than chance"
+    f"interval; {percent(COVERAGE)} is ideal; narrow or wide: it differs by more than chance"
 )
-_HELD_OUT = "error on the last quarter of the training samples of models trained on the rest"
+_HELD_OUT = "error of models trained on three quarters of the training samples, on the last one"
 _RMSE = "root mean squared error of the"
 _TESTS, _FORECASTS = partial(_errors, "test"), partial(_errors, "forecast")
 COLUMNS = {
@@ -309,10 +310,7 @@ def of_checks(checks: Mapping[str, ModelCheck]) -> Table:
         for horizon in sorted(horizons, key="simulation".__ne__)  # unstable models have none
         for i, channel in enumerate(record.columns)
     ]
-    rows = {
-        name: " ".join(f"{said.removesuffix('.')}." for said in each.in_words())
-        for name, each in checks.items()
-    }
+    rows = {name: " ".join(each.in_words()) for name, each in checks.items()}
     labels = {name: titled(name, each.title) for name, each in checks.items()}
     title = f"{_called(record)}: models on {len(record):,} samples"
     return Table(title, columns, rows, "model", labels=labels)

@@ -111,7 +111,10 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
         chosen += f" Networks carry a penalty of {percent(WORTH_TRAINING)}."
     if trial.drifting:
         names = ", ".join(called.get(name, name) for name in trial.drifting)
-        chosen += f" The score of {names} (unstable) is that of simulating the training samples."
+        chosen += (
+            f" The score of {names}, which is unstable, is the larger error of its simulation of "
+            "the training samples."
+        )
     return [chosen]
 
 
@@ -137,7 +140,7 @@ def afterwards(comparison: Comparison) -> list[str]:
         + (f" ({of})" if (of := c.record or c.channel) else "")
         for c in better
     )
-    return [f"In hindsight, a better fit had: {names}."]
+    return [f"In hindsight, another method had a better fit: {names}."]
 
 
 def _decisive(comparison: Comparison) -> list[Column]:

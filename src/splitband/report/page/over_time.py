@@ -108,7 +108,7 @@ def _run(found: Comparison, record: Record, of: Mapping[str, Pieces], ahead: int
     parts = dict(zip(PARTS, zip([0, *ends], [e - 1 for e in ends], strict=False), strict=True))
     says = f"forecasts {ahead} samples ahead" if ahead else run_of(record)
     says += (" after" if plan.train < end else " of") + " the training part" if own else ""
-    says += "" if own else f" of the test record {record.name}"
+    says += "" if own else f" {'in' if ahead else 'of'} the test record {record.name}"
     level = 0.0 if interval is None or np.isnan(half).all() else interval.share
     scored = plan.train if own and plan.train < end else 0
     parts = {name: (a, b) for name, (a, b) in parts.items() if a < b}

@@ -133,7 +133,10 @@ def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
         except ValueError:  # for want of a simulator, as in the table
             continue
         fits[name] = [fit_ahead(record, made, ahead) for ahead in NEAR]
-    note = f"fit of forecasts so many samples ahead of {len(origins)} origins, measured until then"
+    note = (
+        f"fit of predictions this far ahead from {len(origins)} origins, each with all "
+        "measurements before it"
+    )
     return [
         Column(
             "near fit %",
@@ -152,12 +155,13 @@ def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
 def _residuals(tests: Sequence[ResidualTests], findings: Sequence[str]) -> list[Section]:
     """Return the section of the residual tests."""
     text = (
-        "The plots show what is tested. Residuals and an input are prewhitened by an "
-        "autoregressive model of the residuals. Lags reach to twice the slowest period. Without "
-        f"correlation, {100 * CONFIDENCE:.0f} % of the values are in the shaded area. Values "
-        "outside at positive lags are an effect of the input that the model misses, at negative "
-        "lags a feedback from the output to the input. The F test takes all lags, all inputs and "
-        "powers of the output together: it finds small effects that no single lag shows."
+        "The plots show correlations as they are tested. For correlations with inputs, residuals "
+        "and inputs are prewhitened by an autoregressive model of the residuals. Lags reach twice "
+        f"the slowest period. By chance, {100 * CONFIDENCE:.0f} % of the values lie in the shaded "
+        "area. Values outside it show an effect of the input that the model misses (at positive "
+        "lags), or feedback from the output to the input (at negative lags). The F test takes all "
+        "lags and inputs together, and powers of the output: it detects small effects that no "
+        "single lag shows."
     )
     plots = [model.correlation(t.output, c) for t in tests for c in (t.whiteness, *t.inputs)]
     words_of = [" ".join(findings), text]
@@ -175,14 +179,13 @@ def _responses(recommended: Forecaster) -> list[Section]:
         return []
     first = every[0]
     text = (
-        "The change of an output after a step of 1 of one input, from small steps around the mean "
-        f"of the training inputs, {first.operating_point}."
+        "The plots show how an output changes for a step of 1 of one input, computed by small "
+        f"steps around the mean of the training inputs, {first.operating_point}."
     )
     if len(every) > 1:
         text += (
-            " Dashed and dotted: steps around inputs at other shares of their ranges. Where these "
-            "curves differ, the gain depends on the operating point. Gain and phase are at the "
-            "mean."
+            " Dashed and dotted curves are for other points of their ranges. If the curves differ, "
+            "the gain depends on the operating point. Gain and phase are at the mean."
         )
     bode = len(first.inputs) * len(first.columns) <= MAX_BODE
     plots = model.responses(recommended, every, bode)
@@ -257,7 +260,7 @@ def of_check(
     drawn = looks({name: label})
     answer = f"{result.title or name}: {result.summary()}"
     fits = f"{'; '.join(result.fits_in_words())}."
-    said = [fits, *map(words.sentence, result.in_words())]
+    said = [fits, *result.in_words()]
     plots = over_time.over_time(run, drawn)
     sections = [
         Section("answer", answer[:1].upper() + answer[1:], said, plots),
