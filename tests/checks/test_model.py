@@ -93,7 +93,7 @@ def test_a_rejection_says_how_large_the_residuals_are() -> None:
     (test,) = residual_tests(e[:, None], u[:, None], ("y",), ("u",), y[:, None])
     assert test.size == pytest.approx(0.02 / 1.02, rel=0.01)
     assert "still contain an effect of u, which" in test.finding()
-    assert "Their RMS is 2 % of the output's standard deviation" in test.finding()
+    assert "have an RMS of 2 % of its standard deviation" in test.finding()
 
 
 @pytest.mark.parametrize("kind", ["5 sinusoids", "1 sinusoid", "20 steps"])

@@ -116,7 +116,7 @@ def test_the_answer_comes_first_and_reasons_only_where_asked_for(
     loud = capsys.readouterr().out
     assert "linear model: " in loud[loud.index("┃ method") :]
     assert "Its score is the lowest" in " ".join(loud.split())
-    assert "residual tests: " in loud
+    assert "The residuals of a have an RMS of" in " ".join(loud.split())
 
 
 def test_all_samples_train_and_held_out_forecasts_choose(

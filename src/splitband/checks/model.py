@@ -44,6 +44,9 @@ from splitband.training.settings import default_warmup
 
 AHEAD = 10
 """Usual horizon in samples of the predictions from within the record. Layout."""
+MOST_ONE_AHEAD = 2_000
+"""Largest number of samples that an unstable model predicts one by one: the last ones. Bounds the
+time."""
 LONGER = 10
 """Length of the free run in the check of stability, in multiples of the record. Bounds the time."""
 
@@ -57,7 +60,7 @@ class ModelCheck:
     method : Name of the forecaster.
     record : The record of the check.
     simulation : The free run from a warm-up on the first samples to the end. Of an unstable model
-        the predictions one sample ahead, in its place in `tests`, too.
+        the last `MOST_ONE_AHEAD` predictions one sample ahead, in its place in `tests`, too.
     fits : Fit in percent by output, of "simulation", "1 sample ahead" and so on.
     tests : Residual tests by output.
     leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
@@ -116,16 +119,17 @@ class ModelCheck:
         sentences += [signal.describe(names[signal.kind][signal.channel]) for signal in self.beyond]
         return [f"{said[:1].upper()}{said[1:].removesuffix('.')}." for said in sentences]
 
-    def __str__(self) -> str:
-        fits = [
+    def fits_in_words(self) -> list[str]:
+        """Return the fits by output and horizon."""
+        return [
             f"{column}: fit {tenths(of[i])} % ({horizon})"
             for i, column in enumerate(self.record.columns)
             for horizon, of in self.fits.items()
         ]
-        begin = (
-            f"{self.title or self.method} on {self.record.name or 'the record'}: {self.summary()}"
-        )
-        return "\n".join([begin, *fits, *self.in_words()])
+
+    def __str__(self) -> str:
+        on = f"{self.title or self.method} on {self.record.name or 'the record'}"
+        return "\n".join([f"{on}: {self.summary()}", *self.fits_in_words(), *self.in_words()])
 
     def as_json(self) -> dict[str, Any]:
         """Return all results, for a JSON file."""
@@ -231,7 +235,8 @@ def _warmup(forecaster: Forecaster, record: Record) -> int:
 def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
     """Simulate a record from a warm-up on its first samples to its end; None for a short one.
 
-    An unstable model predicts each sample from those before it instead.
+    An unstable model predicts each of the last `MOST_ONE_AHEAD` samples from those before it
+    instead.
     """
     begin = first_after(record.y_with_gaps, _warmup(forecaster, record))
     if begin is None or len(record) - begin < 2 * LAGS:
@@ -240,6 +245,7 @@ def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
     if forecaster.require_fitted().report.stable:
         with without_warnings(ExtrapolationWarning):
             return forecaster.predict(**after(record, begin), other_record=other)
+    begin = max(begin, len(record) - MOST_ONE_AHEAD)
     origins = [Origin(0, at, 1) for at in range(begin, len(record))]
     known = known_of(forecaster, other_record=other, **after(record, begin))
     made = forecasts(forecaster.run_over(known), record, origins, other_record=other)

@@ -38,6 +38,8 @@ SIGNIFICANT = 0.005
 (`benchmarks.residuals`), 1.5 % of right models have a p-value below 1 %."""
 LAGS = 25
 """Largest lag of the correlations, in samples, as in MATLAB's `resid`."""
+MOST_TESTED = 100_000
+"""Largest number of samples of a test: the last ones, as `finding` says. Bounds the time."""
 MOST_LAGS = 500
 """Largest lag of `Correlation.around`. Bounds the time."""
 MAX_ORDER = 20
@@ -109,6 +111,7 @@ class ResidualTests:
     size : RMS of the residuals as a share of the output's standard deviation; None for a constant
         output.
     unrelated : Whether the output wanders, and the inputs do not help to predict its changes.
+    last : Number of tested samples of a record with more than `MOST_TESTED`; else 0.
     """
 
     output: str
@@ -117,6 +120,7 @@ class ResidualTests:
     p: float = 1.0
     size: float | None = None
     unrelated: bool = False
+    last: int = 0
 
     @property
     def white(self) -> bool:
@@ -152,45 +156,33 @@ class ResidualTests:
         return self.outcome != "rejected"
 
     def finding(self) -> str:
-        """Return the finding of the tests in a sentence or two."""
-        if self.dependent:
-            return f"{self._effect()}{self._size()}"
-        if self.white:
-            independent = "do not depend on the inputs and " if self.inputs else ""
-            return f"The residuals of {self.output} {independent}are white noise."
+        """Return the finding of the tests in a sentence or two, with the size of the residuals."""
         if self.unrelated:
             return (
                 f"The inputs may be unrelated to {self.output}, which wanders like a random "
                 "walk: they do not help to predict its changes. An effect in the model may be "
                 "chance."
             )
-        independent = "do not depend on the inputs, but " if self.inputs else ""
-        return (
-            f"The residuals of {self.output} {independent}are not white noise. "
-            "Either a disturbance acts or the model lacks dynamics; this record cannot tell which."
-        )
-
-    def missed(self) -> str:
-        """Return the inputs in the residuals, as "a, b and c"; there must be one."""
-        *first, last = self.dependent
-        return f"{', '.join(first)} and {last}" if first else last
-
-    def _effect(self) -> str:
-        """Return a sentence with the inputs in the residuals."""
-        names = self.missed()
-        if not self._alone:
-            names += f", if only a nonlinear one (all tests together: p = {self.p:.1g})"
-        return (
-            f"The residuals of {self.output} still contain an effect of {names}, which the model "
-            f"does not describe (tested at {100 * CONFIDENCE:.0f} %)."
-        )
-
-    def _size(self) -> str:
-        """Return a sentence on the size of the residuals, after a blank; empty if unknown."""
-        if self.size is None:
-            return ""
-        left = np.format_float_positional(100 * self.size, 2, fractional=False, trim="-")
-        return f" Their RMS is {left} % of the output's standard deviation."
+        facts = list[str]()
+        if self.size is not None:
+            facts.append(f"have an RMS of {100 * self.size:.2g} % of its standard deviation")
+        if self.dependent:
+            *first, last = self.dependent
+            effect = f"{', '.join(first)} and {last}" if first else last
+            effect += "" if self._alone else ", perhaps a nonlinear one"
+            facts.append(f"still contain an effect of {effect}, which the model does not describe")
+        else:
+            facts += ["do not depend on the inputs"] if self.inputs else []
+            facts.append("are white noise" if self.white else "are not white noise")
+        link = " and " if self.dependent or self.white else ", but "
+        said = link.join(filter(None, [", ".join(facts[:-1]), facts[-1]]))
+        said = f"The residuals of {self.output} {said} (tested at {100 * CONFIDENCE:.0f} %)."
+        if not (self.dependent or self.white):
+            said += (
+                " Either a disturbance acts or the model lacks dynamics; this record cannot tell "
+                "which."
+            )
+        return said + (f" Tested are the last {self.last:,} samples." if self.last else "")
 
     def as_json(self) -> dict[str, Any]:
         """Return the tests for a JSON file."""
@@ -213,8 +205,9 @@ def residual_tests(
     `(time, ny)`, are tested with the inputs. An output that is slower than others is tested at its
     own rate, and one of fewer than 2 `LAGS` samples is left out.
     """
-    tests = []
+    tests, last = [], MOST_TESTED if len(residuals) > MOST_TESTED else 0
     simulated = np.zeros_like(residuals) if simulated is None else simulated
+    residuals, simulated = residuals[-MOST_TESTED:], simulated[-MOST_TESTED:]
     for column, own, of_model in zip(columns, residuals.T, simulated.T, strict=True):
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
         driven = {name: x for name, x in pairs if np.ptp(x[-len(own) - MAX_LAG :]) > 0}
@@ -224,7 +217,7 @@ def residual_tests(
         p, tested = _dependence(e, y, driven) if driven else (1.0, ())
         white = _whiteness(e, _slow(e + y))
         unrelated = bool(driven) and white.p < 1 - CONFIDENCE and _unrelated(e + y, driven)
-        tests.append(ResidualTests(column, white, tested, p, _size(e, y), unrelated))
+        tests.append(ResidualTests(column, white, tested, p, _size(e, y), unrelated, last))
     return tuple(tests)
 
 

@@ -74,16 +74,18 @@ class Responses:
     def gains(self) -> Array:
         """Return the static gains, `(ny, nu)`: inf of an integrator, NaN of what has not settled.
 
-        An integrator of known matrices has a gain that is ten times as large at a tenth of a low
-        frequency; the step response of any other one ends in a straight line.
+        The step response of an integrator ends in a straight line. One of known matrices has a
+        gain that is ten times as large at a tenth of a low frequency; where the response is flat
+        all the same, the integrator has no visible effect, and the gain is that of its end.
         """
+        last, largest = self.whole[-1], abs(self.whole).max(axis=0)
+        rise = abs(_impulse(self.whole)[-1]) * len(self.whole)
         if self.system is not None:
             near, nearer = (abs(_gain(self.system, np.exp(1j * w))) for w in (1e-5, 1e-6))
             at_zero = _gain(self.system, np.exp(1e-6j)).real
-            return np.where(nearer > 10 * INTEGRATES * near, np.inf, at_zero)
-        last = self.whole[-1]
-        rise = abs(_impulse(self.whole)[-1]) * len(self.whole)
-        settled = np.where(rise > INTEGRATES * abs(self.whole).max(axis=0), np.inf, last)
+            in_the_end = np.where(rise > SETTLED * largest, np.inf, last)
+            return np.where(nearer > 10 * INTEGRATES * near, in_the_end, at_zero)
+        settled = np.where(rise > INTEGRATES * largest, np.inf, last)
         return settled if self.settled else np.full_like(last, np.nan)
 
     @property
@@ -239,8 +241,7 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     stable = forecaster.require_fitted().report.stable
     if not stable:
         remarks.append(
-            f"{forecaster.name} is unstable: its responses grow without bound, and have no static "
-            "gain."
+            "The model is unstable: its responses grow without bound, and have no static gain."
         )
     lost = [responses.place for responses in every if responses not in finite]
     remarks += [
@@ -250,8 +251,8 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     for moving in unsettled[:1]:
         after = len(moving.whole) * moving.sampling_time
         remarks.append(
-            f"{forecaster.name} has not settled after {after:.4g} s: its gain and phase at low "
-            "frequencies are uncertain."
+            f"The response has not settled after {after:.4g} s: gain and phase at low frequencies "
+            "are uncertain."
         )
     return [replace(finite[0], remarks=tuple(remarks)), *finite[1:]]
 

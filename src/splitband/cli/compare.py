@@ -16,7 +16,6 @@ from splitband.comparison.plan import Plan
 from splitband.comparison.result import Comparison
 from splitband.comparison.run import run
 from splitband.forecasters.base import titled
-from splitband.forecasters.network import Network
 from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
@@ -98,11 +97,8 @@ def _show(result: Comparison, out: Path, used: Usage) -> None:
 
 
 def _explain(result: Comparison, called: Mapping[str, str]) -> None:
-    """Print why the method is recommended, what its residuals say, and its bands."""
+    """Print why the method is recommended, and what its residuals say."""
     plan, say = result.plan, printing.console.print
     say(" ".join(words.why(result.require_trial(), plan.train, called, plan.ahead)))
-    for verdict in words.verdicts(result):
-        say(f"residual tests: {verdict}")
-    chosen = result.fits[result.recommended][0].fitted.untrained()
-    if isinstance(chosen, Network) and chosen.bands is not None:
-        say(words.of_bands(chosen.bands, plan.training))
+    for finding in words.findings(result):
+        say(finding)

@@ -23,7 +23,7 @@ from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
 
 LEAST_NAME = 12
-"""Least width of the names of rows in a table; a narrower terminal gets a list. Layout."""
+"""Least width of the names of rows in a table. Layout."""
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
     width=None if sys.stdout.isatty() else 100,
@@ -156,7 +156,9 @@ def table(shown: Table) -> None:
         console.print(shown.title, style="bold")
     drawn = shown.drawn(verbose())
     least = sum((column.min_width or LEAST_NAME) + 3 for column in drawn.columns) + 1
-    console.print(shown.listed(verbose()) if least > console.width else drawn)
+    if least > console.width:  # the terminal folds lines: numbers that are cut look like others
+        drawn.width = least
+    console.print(drawn, crop=False)
     for line in shown.remarks(verbose()):
         console.print(line, style="dim")
 

@@ -31,22 +31,11 @@ def _commit() -> str | None:
     root = Path(__file__).resolve().parents[3]
     if not (root / ".git").exists():
         return None
+    command = ["git", "status", "--porcelain=v2", "--branch", "--", "src", "reproduction"]
+    kept: dict[str, Any] = {"capture_output": True, "encoding": "utf-8", "errors": "replace"}
     try:
-        commit, changed = (
-            subprocess.run(
-                ["git", *command],
-                cwd=root,
-                capture_output=True,
-                encoding="utf-8",
-                errors="replace",
-                timeout=10,
-                check=True,
-            ).stdout.strip()
-            for command in (
-                ("rev-parse", "--short=12", "HEAD"),
-                ("status", "--porcelain", "--", "src", "reproduction"),
-            )
-        )
+        said = subprocess.run(command, cwd=root, timeout=10, check=True, **kept).stdout.splitlines()
     except (OSError, subprocess.SubprocessError):
         return None
-    return f"{commit}-dirty" if changed else commit
+    commit = said[0].removeprefix("# branch.oid ")[:12]
+    return commit if all(line.startswith("#") for line in said) else f"{commit}-dirty"

@@ -13,10 +13,10 @@ import pandas as pd
 
 from splitband.comparison.result import Comparison
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import fit_percent, rmse, tenths
+from splitband.metrics import fit_percent, tenths
 from splitband.records import Record
 from splitband.report.colors import PALETTE
-from splitband.report.numbers import in_one_offset, number
+from splitband.report.numbers import in_one_offset
 from splitband.report.predictions import Predicted, predicted
 from splitband.report.tables import labels_of, ordered
 from splitband.runtime.errors import missing
@@ -29,10 +29,10 @@ except ImportError:
     raise missing("a plot", "matplotlib", "plot") from None
 
 MEASURED = "black"
-SMALL_ACROSS = 4
-"""Small panels in a row. Layout."""
-SMALL_TITLE = 40
-"""Characters of a line above a small panel. Layout."""
+ACROSS = 3
+"""Panels in a row. Layout."""
+TITLE = 40
+"""Characters of a line above a panel. Layout."""
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -42,75 +42,56 @@ def save(figure: Figure, path: str | Path) -> None:
 
 
 def rollouts(comparison: Comparison) -> Figure:
-    """Draw predictions, large for the recommended method, small below for the others.
+    """Draw the prediction of each method over the measured output, the recommended one first.
 
-    Panels show the forecast, with its interval, and the test records; without both, a simulation.
+    These are the forecasts after the training part, with the interval of the recommended one, or
+    else simulations of the first test record, or of the whole record.
     """
-    record = comparison.record
-    every = [runs for runs in predicted(comparison) if runs.predictions]
-    shown = [runs for runs in every if runs.protocol != "start"] or every
-    shown.sort(key=lambda runs: runs.protocol)  # the forecast first
-    names, called = ordered(comparison.trial, comparison.fits), labels_of(comparison)
-    best, *others = names
-    across = max(SMALL_ACROSS // record.ny, 1)
-    below = -(-len(others) // across)
-    across = -(-len(others) // below) if below else 0  # rows of equal length
-    large, small = 2.6 * record.ny * len(shown), 1.5 * below
-    figure = Figure(figsize=(12, large + small + 1.2), layout="constrained")
-    ratios = [large, small] if below else [large]
-    parts = figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0]
-    grid = parts[0].subplots(record.ny * len(shown), 1, squeeze=False)[:, 0]
-    for ax, (runs, channel) in zip(grid, product(shown, range(record.ny)), strict=True):
-        _draw(ax, runs, channel, best, PALETTE[0])
-    if below:
-        grid = parts[1].subplots(below, across * record.ny, squeeze=False, sharex=True)
-        panels = [*product(others, range(record.ny))]
-        for ax, (name, channel) in zip(grid.flat, panels, strict=False):
-            _draw(ax, shown[0], channel, name, PALETTE[names.index(name) % len(PALETTE)], True)
-            words = textwrap.fill(literal(called[name]), SMALL_TITLE)
-            ax.set_title(f"{words}\n{ax.get_title(loc='left')}", fontsize=7, loc="left", pad=2)
-        for i, ax in enumerate(grid.flat[len(panels) :], start=len(panels)):
-            ax.set_axis_off()
-            grid.flat[i - across * record.ny].tick_params(labelbottom=True)
-        parts[1].suptitle(f"Other methods, {literal(shown[0].says)}", fontsize=9)
-    title = record.name or "a record"
-    title += "; " if comparison.trial is None else "; recommended: "
-    figure.suptitle(literal(title + called[best]), fontsize=11)
+    order = "forecast", "test", "start"
+    every = sorted(predicted(comparison), key=lambda runs: order.index(runs.protocol))
+    shown = next(runs for runs in every if runs.predictions)
+    record, called = shown.record, labels_of(comparison)
+    names = [n for n in ordered(comparison.trial, comparison.fits) if n in shown.predictions]
+    across = record.ny if record.ny > 1 else min(len(names), ACROSS)
+    down = -(-len(names) * record.ny // across)
+    figure = Figure(figsize=(12, 0.8 + 2.2 * down), layout="constrained")
+    grid = figure.subplots(down, across, squeeze=False, sharex=True)
+    for i, (ax, (name, channel)) in enumerate(
+        zip(grid.flat, product(names, range(record.ny)), strict=False)
+    ):
+        if name == names[0]:
+            prediction = shown.predictions[name]
+            _draw_interval(ax, times_of(record)[-len(prediction) :], prediction, channel)
+        _draw(ax, shown, channel, name, PALETTE[i // record.ny % len(PALETTE)])
+        words = textwrap.fill(literal(called[name]), TITLE)
+        ax.set_title(f"{words}: {ax.get_title(loc='left')}", fontsize=9, loc="left")
+    for ax in grid.flat[len(names) * record.ny :]:
+        ax.set_axis_off()
+    for ax in grid.flat[max(len(names) * record.ny - across, 0) : len(names) * record.ny]:
+        ax.set_xlabel(time_label(record))
+        ax.tick_params(labelbottom=True)
+    handles, said = grid.flat[0].get_legend_handles_labels()
+    figure.legend(handles, said, fontsize=8, loc="outside lower center", ncols=3, frameon=False)
+    name = record.name or "a record"
+    figure.suptitle(literal(f"{name}: {shown.says}"), fontsize=11)
     return figure
 
 
-def _draw(
-    ax: Axes, shown: Predicted, channel: int, name: str, color: str, small: bool = False
-) -> None:
+def _draw(ax: Axes, shown: Predicted, channel: int, name: str, color: str) -> None:
     """Draw the measurement of one channel, and a method's prediction."""
-    record, times = shown.record, times_of(shown.record)
-    unit, title = f" {record.units[channel]}".rstrip(), "not tested"
-    prediction = shown.predictions.get(name)
-    if prediction is not None:
-        y, truth = prediction.y[:, channel], shown.truth(prediction)[:, channel]
-        at = times[len(times) - len(y) :]
-        if not small:
-            _draw_interval(ax, at, prediction, channel)
-        ax.plot(at, y, color=color, lw=2 if small else 3, label="predicted")  # shows behind
-        title = f"fit {tenths(fit_percent(truth, y))} %"
-        title += "" if small else f", RMSE {number(rmse(truth, y))}{unit}"
+    record, times, prediction = shown.record, times_of(shown.record), shown.predictions[name]
+    y, truth = prediction.y[:, channel], shown.truth(prediction)[:, channel]
+    at = times[len(times) - len(y) :]
+    ax.plot(at, y, color=color, lw=2.5, label="predicted")  # shows behind
     measured = record.y_with_gaps[shown.first :, channel]
-    ax.plot(
-        times[shown.first :], measured, color=MEASURED, lw=0.6 if small else 0.9, label="measured"
-    )
+    ax.plot(times[shown.first :], measured, color=MEASURED, lw=0.7, label="measured")
     low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
     margin = 0.25 * (high - low or 1.0)
     ax.set_ylim(low - margin, high + margin)
     ax.margins(x=0.01)
-    ax.set_ylabel(literal(record.columns[channel]), fontsize=6 if small else None)
-    if small:
-        ax.set_title(title, fontsize=7, loc="left", pad=2)
-        ax.tick_params(labelsize=6)
-        return
+    ax.set_ylabel(literal(record.columns[channel]))
     ax.axvline(times[shown.begin], color="0.4", ls=":", lw=1)
-    ax.set_title(f"{literal(shown.says)}: {title}", fontsize=10, loc="left")
-    ax.set_xlabel(time_label(record))
-    ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
+    ax.set_title(f"fit {tenths(fit_percent(truth, y))} %", loc="left")
 
 
 def _draw_interval(ax: Axes, at: npt.NDArray[Any], predicted: Prediction, channel: int) -> None:

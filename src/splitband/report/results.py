@@ -120,8 +120,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
         "interrupted": comparison.interrupted,
         "residual_tests": [test.as_json() for test in comparison.residual_tests],
         "recommended": trial.recommended,
-        # Without seconds, which are below: equal comparisons have equal tables.
-        "table": [c.as_json() for c in columns(comparison) if c.unit != "seconds"],
+        "table": [c.as_json() for c in columns(comparison)],
         "search": [asdict(attempt) for attempt in comparison.attempts],
         "methods": {
             name: _method(comparison, name)
@@ -193,14 +192,12 @@ def save_check(checked: Mapping[str, Checked], facts: Facts, folder: Path, used:
 def _check_facts(check: ModelCheck, model: Forecaster, responses: Sequence[Responses]) -> Facts:
     """Return what results.json says of a check of a model."""
     facts = check.as_json() | {"kind": model.in_words()}
-    for response in responses if model.require_fitted().report.stable else ():
-        gains = {
-            column: dict(zip(response.inputs, map(_or_none, row), strict=True))
-            for column, row in zip(response.columns, response.gains, strict=True)
+    if responses and model.require_fitted().report.stable:
+        first = responses[0]
+        facts["static_gain"] = {
+            column: dict(zip(first.inputs, map(_or_none, row), strict=True))
+            for column, row in zip(first.columns, first.gains, strict=True)
         }
-        facts.setdefault("static_gain", gains)
-        at = dict(zip(response.inputs, map(float, response.at), strict=True))
-        facts.setdefault("static_gains", []).append({"inputs": at, "gain": gains})
     return facts
 
 
@@ -225,12 +222,9 @@ def _test_facts(comparison: Comparison) -> Iterator[dict[str, Any]]:
 
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     """Return a forecast's interval, and its coverage of the measured samples."""
-    interval = comparison.require_trial().intervals[name]
-    ahead = comparison.steps_of_interval(name)
-    if not ahead:
-        return asdict(interval)
-    mean = interval.half_widths(ahead).mean(axis=0)
-    return asdict(interval) | {"covers": comparison.covers(name), "mean_half_width": mean.tolist()}
+    interval = asdict(comparison.require_trial().intervals[name])
+    covered = {"covers": comparison.covers(name)} if comparison.steps_of_interval(name) else {}
+    return interval | covered
 
 
 def _errors(comparison: Comparison, fit: Fit) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from io import StringIO
 from typing import Any, Literal
 
@@ -31,6 +32,8 @@ Unit = Literal["percent", "record", "deviation", "share", "seconds", "count", "g
 output over input."""
 OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
 """Units of numbers over all outputs of a comparison."""
+RANKED: tuple[Unit, ...] = ("percent", "record", "deviation")
+"""Units of the columns of a comparison in which one number is the best."""
 
 SHOWN = {
     "forecast fit %": "fit %",
@@ -40,7 +43,7 @@ SHOWN = {
     "in interval": f"inside the {percent(COVERAGE)} interval",
 }
 """Displayed headings, below a title that says of which samples the numbers are."""
-DETAILS = "score", "fit (s)", "trainings"
+DETAILS = ("score",)
 """Headings that a terminal shows on request."""
 NARROW = 8
 """Smallest width of a heading's line, in characters. Layout."""
@@ -85,11 +88,6 @@ class Column:
     def line(self) -> str:
         """Return the test record and the channel: the line of a row in a terminal."""
         return ", ".join(filter(None, [self.record, self.channel]))
-
-    @property
-    def label(self) -> str:
-        """Return the heading with the test record and the channel: the title in a page."""
-        return ", ".join(filter(None, [self.shown, self.line]))
 
     @property
     def best(self) -> str:
@@ -161,47 +159,61 @@ class Table:
         """Return a row in words, without the short name."""
         return self.label(row).removesuffix(f" ({row})")
 
+    @cached_property
+    def lines(self) -> list[str]:
+        """Return the outputs and test records to tell apart; a single one alone is not named."""
+        lines = [*dict.fromkeys(c.line for c in self.columns if c.line)]
+        numbers = {(c.shown, c.line) for c in self.columns}
+        return lines if len(lines) > 1 or len(numbers) > len(self.headings()) else []
+
+    def headings(self, details: bool = True) -> list[str]:
+        """Return the headings of the numbers, perhaps without the `details`."""
+        shown = (c for c in self.columns if details or c.heading not in DETAILS)
+        return [*dict.fromkeys(c.shown for c in shown)]
+
+    def cells(self, row: str, details: bool = True) -> dict[str, list[tuple[str, bool]]]:
+        """Return the numbers of a row, and whether each is the best of its column.
+
+        Outputs and test records to tell apart have lines of their own, by name; the first line,
+        named "", has the other numbers.
+        """
+        own = [c for c in self.columns if row in c.values]
+        every = {c.line for c in own}
+        lines = ["", *(line for line in self.lines if line in every)]
+        found = {
+            (c.line if self.lines else "", c.shown): (c.entry(row), c.best == row) for c in own
+        }
+        known = {c.shown for c in own}
+
+        def cell(line: str, heading: str) -> tuple[str, bool]:
+            missing = "" if line or heading in known else number(None)
+            return found.get((line, heading), (missing, False))
+
+        return {line: [cell(line, each) for each in self.headings(details)] for line in lines}
+
     def drawn(self, details: bool = False, box: Box | None = HEAVY_HEAD) -> rich.table.Table:
         """Return the table for a terminal, without its title; on request with `details`.
 
-        The best number of a column is bold. Channels and test records have lines of their own below
-        the row. In a narrow terminal words are folded, and numbers never.
+        The best number of a column is bold. In a narrow terminal words are folded, and numbers
+        never.
         """
-        of_heading: dict[str, list[Column]] = {}
-        for column in self.columns:
-            if details or column.heading not in DETAILS:
-                of_heading.setdefault(column.shown, []).append(column)
-        one = all(len({c.line for c in columns}) == 1 for columns in of_heading.values())
-        one = one and len({c.line for c in self.columns if c.line}) == 1  # the title names it
         table = rich.table.Table(box=box, padding=(0, 1, 0, 1) if box else (0, 2, 0, 0))
         table.add_column(self.head, overflow="fold")
-        for heading, columns in of_heading.items():
-            entries = [c.entry(name) for c in columns for name in self.rows if name in c.values]
+        for heading in self.headings(details):
+            entries = [c.entry(row) for c in self.columns if c.shown == heading for row in c.values]
             least = max(map(len, " ".join([heading, *entries]).split(" ")))
-            width = max([NARROW, least, *map(len, entries)])
-            header = textwrap.fill(heading, width, break_long_words=False)
+            most = max([NARROW, least, *map(len, entries)])
+            header = textwrap.fill(heading, most, break_long_words=False)
             table.add_column(header, justify="right", min_width=least)
-        for name in self.rows:
-            best = name == self.recommended
-            label = Text(titled(name, self.words(name)), "bold" if best else "")
-            every = [c for columns in of_heading.values() for c in columns if name in c.values]
-            lines = [] if one else [*dict.fromkeys(c.line for c in every if c.line)]
-            for line in ["", *lines]:
-                cells = [_cell(of, name, of[0].line if one else line) for of in of_heading.values()]
+        for row in self.rows:
+            best, lines = row == self.recommended, self.cells(row, details)
+            label = Text(titled(row, self.words(row)), "bold" if best else "")
+            for line, cells in lines.items():
                 mark = "  " if line else "*" if best else " " * bool(self.recommended)
                 head = _behind(mark, Text(line) if line else label) if mark else label
-                table.add_row(head, *cells, end_section=bool(lines) and line == lines[-1])
+                numbers = (Text(text, "bold" if of_best else "") for text, of_best in cells)
+                table.add_row(head, *numbers, end_section=len(lines) > 1 and line == [*lines][-1])
         return table
-
-    def listed(self, details: bool = False) -> str:
-        """Return the rows of `drawn` with each number on a line, for narrow terminals."""
-        lines = list[str]()
-        for name in self.rows:
-            lines.append("* " * (name == self.recommended) + titled(name, self.words(name)))
-            for c in self.columns:
-                if name in c.values and (details or c.heading not in DETAILS):
-                    lines.append("  " + f"{c.line} {c.shown}: {c.entry(name)}".lstrip())
-        return "\n".join(lines)
 
     def as_text(self, width: int = 100) -> str:
         """Return the table as text in lines of `width` characters.
@@ -239,14 +251,6 @@ class Table:
         """Return the distinct remarks on rows; on request with `details`."""
         every = {n: (words, self.details.get(n, "") * details) for n, words in self.rows.items()}
         return by_reason({self.label(n): "; ".join(filter(None, of)) for n, of in every.items()})
-
-
-def _cell(columns: Sequence[Column], name: str, line: str) -> Text:
-    """Return the number of a row, or of one of its lines, under a heading."""
-    for column in columns:
-        if column.line == line and name in column.values:
-            return Text(column.entry(name), "bold" if column.best == name else "")
-    return Text("" if line or any(name in column.values for column in columns) else number(None))
 
 
 def _behind(mark: str, text: Text) -> rich.table.Table:

@@ -27,7 +27,7 @@ from splitband.metrics import channel_rmse, fit_percent, leaving
 from splitband.records import Record
 from splitband.report.numbers import complex_in_words, number, percent
 from splitband.report.predictions import Protocol, predicted, run_of, what_was_known
-from splitband.report.table import Column, Table, Unit
+from splitband.report.table import RANKED, Column, Table, Unit
 from splitband.runtime.arrays import Array
 
 
@@ -39,13 +39,14 @@ def of_comparison(comparison: Comparison) -> Table:
     """Return the table of a comparison: one row per method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = " Errors are against the noise-free signal." if record.y_true is not None else ""
-    ahead = f"; each method then predicted the next {len(record) - train:,} in one {run_of(record)}"
+    after = len(record) - train
+    ahead = f"; each method then predicted the next {after:,} in one {run_of(record)}"
     tests = f"; each method then simulated {' and '.join(t.name for t in comparison.tests)}"
     others = len(comparison.others)
     more = f" The training part includes {others} more record(s), none held out." if others else ""
     title = (
         f"{_called(record)}: the training part has {train:,} samples"
-        + (ahead if train < len(record) else "")
+        + (ahead if after and _runs_free(comparison) else "")
         + (tests if comparison.tests else "")
         + f". {what_was_known(comparison)}{truth}{_from_origins(comparison)}{more}"
     )
@@ -59,6 +60,11 @@ def of_comparison(comparison: Comparison) -> Table:
     }
     called = labels_of(comparison)
     return _ranked(Table(title, columns(comparison), rows, labels=called, details=details), trial)
+
+
+def _runs_free(comparison: Comparison) -> bool:
+    """Return whether a free run tells anything: that of an unstable plant leaves the record."""
+    return comparison.plan.ahead is None or comparison.plan.reach is None
 
 
 def _from_origins(comparison: Comparison) -> str:
@@ -81,12 +87,9 @@ def _horizons(comparison: Comparison) -> dict[str, int]:
     return {{1: "1", ahead: "N"}.get(samples, "N/10"): samples for samples in horizons(ahead)}
 
 
-def of_trial(
-    trial: Trial, record: Record, methods: Mapping[str, Forecaster], title: str = ""
-) -> Table:
+def of_trial(trial: Trial, record: Record, methods: Mapping[str, Forecaster], title: str) -> Table:
     """Return the table of a trial: one row per method, the recommended one first."""
     rows = dict.fromkeys(ordered(trial, trial.errors), "") | trial.without_result
-    title = title or f"{_called(record)}: RMSE on the last quarter, after training on the rest"
     listed = tried(trial, record, [*trial.errors])
     return _ranked(Table(title, listed, rows, labels=labels(rows, methods)), trial)
 
@@ -116,9 +119,49 @@ def columns(comparison: Comparison, *headings: str) -> list[Column]:
 def _shown(comparison: Comparison, heading: str) -> list[Column]:
     """Return the columns under a heading, computed once: a long record takes seconds."""
     if heading not in comparison.shown:
-        every = COLUMNS[heading].of(comparison)
-        comparison.shown[heading] = [c for numbers in every for c in _columns(heading, numbers)]
+        comparison.shown[heading] = _under(heading, COLUMNS[heading].of(comparison))
     return comparison.shown[heading]
+
+
+def _under(heading: str, found: Iterable[Column]) -> list[Column]:
+    """Return these columns under a heading, with its unit."""
+    unit, note, _ = COLUMNS[heading]
+    known: dict[str, Any] = {"heading": heading, "unit": unit, "ranked": unit in RANKED}
+    return [replace(column, note=note, **known) for column in found if column.values]
+
+
+def _over_all(values: Mapping[str, float]) -> list[Column]:
+    """Return the column of numbers over all outputs."""
+    return [Column("", "record", values)]
+
+
+def _by_output(
+    record: Record,
+    values: Mapping[str, Any],
+    spreads: Mapping[str, Any] = MappingProxyType({}),
+    marks: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    test: str = "",
+    ahead: int = 0,
+) -> list[Column]:
+    """Return a column for each output of a record, of numbers by method and output."""
+
+    def of(i: int, numbers: Mapping[str, Any]) -> dict[str, float]:
+        return {name: float(by_output[i]) for name, by_output in numbers.items()}
+
+    return [
+        Column(
+            "",
+            "record",
+            of(i, values),
+            name if record.ny > 1 else "",
+            test,
+            of(i, spreads),
+            measure=measure,
+            marks={name: by_output[i] for name, by_output in marks.items() if by_output[i]},
+            ahead=ahead,
+        )
+        for i, (name, measure) in enumerate(zip(record.columns, record.units, strict=True))
+    ]
 
 
 def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
@@ -126,10 +169,10 @@ def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
     return [*methods] if trial is None else trial.ranked(methods)
 
 
-def tried(trial: Trial, record: Record, methods: Iterable[str]) -> list[Column]:
+def tried(trial: Trial, record: Record, methods: Sequence[str]) -> list[Column]:
     """Return the columns of a trial: score and held-out error."""
-    of = {"score": _scores(trial, methods), "held-out RMSE": _held_out(trial, record, methods)}
-    return [column for heading, numbers in of.items() for column in _columns(heading, numbers)]
+    held_out = _held_out(trial, record, methods)
+    return [*_under("score", _scores(trial, methods)), *_under("held-out RMSE", held_out)]
 
 
 def leaving_range(comparison: Comparison, name: str) -> str:
@@ -138,15 +181,13 @@ def leaving_range(comparison: Comparison, name: str) -> str:
     return "" if left is None else leaving(left)
 
 
-def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
-    """Return a method in words; the name of a user's method without a description."""
-    method = methods.get(name, NAMES.get(name))
-    return (method.in_words() if method is not None else "") or name
-
-
 def labels(names: Iterable[str], methods: Mapping[str, Forecaster]) -> dict[str, str]:
-    """Return methods in words, by name; equal words are followed by names in brackets."""
-    described = {name: in_words(name, methods) for name in names}
+    """Return methods in words, by name, or the name of a user's method without a description.
+
+    Equal words are followed by names in brackets.
+    """
+    known = NAMES | dict(methods)
+    described = {n: (known[n].in_words() if n in known else "") or n for n in names}
     count = Counter(described.values())
     return {n: titled(n, words) if count[words] > 1 else words for n, words in described.items()}
 
@@ -159,52 +200,12 @@ def labels_of(comparison: Comparison) -> dict[str, str]:
     return labels(names, comparison.methods | fitted)
 
 
-class Numbers(NamedTuple):
-    """Numbers by method: one over all outputs or, of a `record`, one per channel."""
-
-    values: Mapping[str, Any]
-    record: Record | None = None
-    test: str = ""  # name of the test record
-    spreads: Mapping[str, Any] = MappingProxyType({})
-    marks: Mapping[str, Sequence[str]] = MappingProxyType({})
-    ahead: int = 0  # see `Column`
-
-
-def _columns(heading: str, numbers: Numbers) -> list[Column]:
-    """Return the columns of these numbers, with one unit each."""
-    values, record, test, spreads, marks, ahead = numbers
-    unit, note, _ = COLUMNS[heading]
-    if record is None:
-        ranked = unit == "deviation"
-        return [Column(heading, unit, values, ranked=ranked, note=note)] if values else []
-
-    def of(i: int, numbers: Mapping[str, Any]) -> dict[str, float]:
-        return {name: float(of_method[i]) for name, of_method in numbers.items()}
-
-    by_channel = []
-    for i, (name, measure) in enumerate(zip(record.columns, record.units, strict=True)):
-        channel, beside = name if record.ny > 1 else "", {n: m[i] for n, m in marks.items() if m[i]}
-        rest = (
-            of(i, values),
-            channel,
-            test,
-            of(i, spreads),
-            unit != "share",
-            measure,
-            note,
-            beside,
-            ahead,
-        )
-        by_channel.append(Column(heading, unit, *rest))
-    return by_channel
-
-
 def _errors(
     protocol: Protocol, measure: Callable[[Array, Array], Array], comparison: Comparison
-) -> Iterator[Numbers]:
+) -> Iterator[Column]:
     """Yield the fits or errors of predictions, errors with their spread over the seeds."""
-    every = [runs for runs in predicted(comparison) if runs.protocol == protocol]
-    for i, shown in enumerate(every, 1):
+    every = predicted(comparison) if _runs_free(comparison) else []
+    for i, shown in enumerate((runs for runs in every if runs.protocol == protocol), 1):
         values, spreads = {}, {}
         for name, median in shown.predictions.items():
             truth = shown.truth(median)
@@ -213,52 +214,39 @@ def _errors(
             if measure is channel_rmse and len(by_seed) > 1:
                 spreads[name] = [statistics.stdev(errors) for errors in zip(*by_seed, strict=True)]
         test = (shown.record.name or str(i)) if protocol == "test" else ""
-        yield Numbers(values, shown.record, test, spreads)
+        yield from _by_output(shown.record, values, spreads, test=test)
 
 
-def _ahead(name: str, comparison: Comparison) -> Iterator[Numbers]:
+def _ahead(name: str, comparison: Comparison) -> Iterator[Column]:
     """Yield the fits of forecasts from many origins, so many samples ahead, by record."""
     if (steps := _horizons(comparison).get(name)) is None:
         return
     for record in (*comparison.tests, comparison.record):
-        fits = dict[str, Array]()
-        for method in comparison.fits:
-            for own, forecasts in comparison.judging(method):
-                if own is record:
-                    fits[method] = fit_ahead(record, forecasts, steps)
-        if fits:
-            test = "" if record is comparison.record else record.name
-            yield Numbers(fits, record, test, ahead=steps)
+        fits = {
+            method: fit_ahead(record, forecasts, steps)
+            for method in comparison.fits
+            for own, forecasts in comparison.judging(method)
+            if own is record
+        }
+        test = "" if record is comparison.record else record.name
+        yield from _by_output(record, fits, test=test, ahead=steps)
 
 
-def _scores(trial: Trial, methods: Iterable[str]) -> Numbers:
+def _scores(trial: Trial, methods: Iterable[str]) -> list[Column]:
     scored = trial.final or trial.scores
-    return Numbers({name: trial.penalized_score(name) for name in methods if name in scored})
+    return _over_all({name: trial.penalized_score(name) for name in methods if name in scored})
 
 
-def _held_out(trial: Trial, record: Record, methods: Iterable[str]) -> Numbers:
-    return Numbers({name: trial.errors[name] for name in methods}, record)
+def _held_out(trial: Trial, record: Record, methods: Iterable[str]) -> list[Column]:
+    return _by_output(record, {name: trial.errors[name] for name in methods})
 
 
-def _intervals(comparison: Comparison) -> list[Numbers]:
-    if comparison.trial is None:
-        return []
-    methods = [name for name in comparison.fits if comparison.steps_of_interval(name)]
-    if not methods:
-        return []
+def _intervals(comparison: Comparison) -> list[Column]:
+    known = comparison.fits if comparison.trial is not None else ()
+    methods = [name for name in known if comparison.steps_of_interval(name)]
     held = {name: comparison.coverages(name) for name in methods}
     marks = {name: comparison.misfits(name) for name in methods}
-    return [Numbers(held, comparison.record, marks=marks)]
-
-
-def _trainings(comparison: Comparison) -> list[Numbers]:
-    counts = {name: float(len(fits)) for name, fits in comparison.fits.items()}
-    return [Numbers(counts)] if max(counts.values(), default=0) > 1 else []
-
-
-def _seconds(comparison: Comparison) -> list[Numbers]:
-    runs = comparison.fits.items()
-    return [Numbers({name: statistics.mean(r.report.seconds for r in rs) for name, rs in runs})]
+    return _by_output(comparison.record, held, marks=marks)
 
 
 class Quantity(NamedTuple):
@@ -266,7 +254,7 @@ class Quantity(NamedTuple):
 
     unit: Unit
     note: str
-    of: Callable[[Comparison], Iterable[Numbers]]
+    of: Callable[[Comparison], Iterable[Column]]  # without heading, unit and note
 
 
 _FIT = "100 (1 - |y - prediction| / |y - mean(y)|) of the"
@@ -285,7 +273,6 @@ _INSIDE = (
 )
 _HELD_OUT = "error of models trained on three quarters of the training samples, on the last one"
 _RMSE = "root mean squared error of the"
-_MEDIAN_OF = "trainings that form the median; ± is the standard deviation of their errors"
 _TESTS, _FORECASTS = partial(_errors, "test"), partial(_errors, "forecast")
 COLUMNS = {
     **{
@@ -294,7 +281,7 @@ COLUMNS = {
     },
     "test fit %": Quantity("percent", _OF_TEST, partial(_TESTS, fit_percent)),
     "forecast fit %": Quantity("percent", _AHEAD, partial(_FORECASTS, fit_percent)),
-    "score": Quantity("deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else []),
+    "score": Quantity("deviation", RULE, lambda c: _scores(c.trial, c.fits) if c.trial else []),
     "test RMSE": Quantity(
         "record", f"{_RMSE} simulation of this test record", partial(_TESTS, channel_rmse)
     ),
@@ -303,10 +290,8 @@ COLUMNS = {
     ),
     "in interval": Quantity("share", _INSIDE, _intervals),
     "held-out RMSE": Quantity(
-        "record", _HELD_OUT, lambda c: [_held_out(c.trial, c.record, c.fits)] if c.trial else []
+        "record", _HELD_OUT, lambda c: _held_out(c.trial, c.record, c.fits) if c.trial else []
     ),
-    "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
-    "trainings": Quantity("count", _MEDIAN_OF, _trainings),
 }
 """The columns of comparisons by heading."""
 

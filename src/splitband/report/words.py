@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from splitband.checks.residuals import ResidualTests
+from splitband.checks.model import MOST_ONE_AHEAD
 from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.checks import repeats_training
 from splitband.comparison.methods import GREY_BOX, HYBRIDS
 from splitband.comparison.plan import UNFITTED_SIMULATOR, WITHOUT_TERMS
 from splitband.comparison.recommendation import Trial, by_reason
 from splitband.comparison.result import Comparison
-from splitband.filters.spectrum import periodogram
-from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out, so_far_ahead
 from splitband.forecasters.linear import Linear
@@ -69,8 +67,6 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
         of = so_far_ahead(fit.ahead) + (f" in test record {fit.record}" if fit.record else "")
         facts = [f"fit {fit.entry(best)} %" + (f" ({also})" if also else "")]
         add(fit, of, facts, len(lines) < record.ny)
-    if judged and plan.reach is not None:
-        return lines
     if not (comparison.tests or comparison.predictions):
         for error in columns(comparison, "held-out RMSE"):
             facts = [f"held-out RMSE {error.entry(best)} {error.measure}".rstrip()]
@@ -100,27 +96,26 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
         ]
     ranked = trial.ranked(trial.final)
     able = [name for name in ranked if name not in trial.left_out] or ranked
-    words = [f"Its score is the lowest, {number(trial.penalized_score(best))}"]
+    chosen = f"Its score is the lowest, {number(trial.penalized_score(best))}"
     if 1 < len(able) < len(ranked):
-        words[0] += ", of the methods that may be recommended"
+        chosen += ", of the methods that may be recommended"
     if len(able) > 1:
         second = number(trial.penalized_score(able[1]))
-        words[0] += f"; that of {called.get(able[1], able[1])} is {second}"
-    words[0] += "."
-    words.append(
-        f"The score is the held-out error in standard deviations: every method was trained on the "
-        f"first {percent(1 - HELD_OUT_SHARE)} of the {train:,} training samples and predicted the "
-        "rest" + (f", up to {ahead} samples ahead from many origins." if ahead else ".")
+        chosen += f"; that of {called.get(able[1], able[1])} is {second}"
+    chosen += (
+        ". The score is the error in standard deviations: every method was trained on the first "
+        f"{percent(1 - HELD_OUT_SHARE)} of the {train:,} training samples and predicted the rest"
     )
+    chosen += f", up to {ahead} samples ahead from many origins." if ahead else "."
+    if trial.trained and set(trial.errors) - trial.trained:
+        chosen += f" Networks carry a penalty of {percent(WORTH_TRAINING)}."
     if trial.drifting:
         names = ", ".join(called.get(name, name) for name in trial.drifting)
-        words.append(
-            f"The score of {names}, which is unstable, is the larger error of its simulation of "
+        chosen += (
+            f" The score of {names}, which is unstable, is the larger error of its simulation of "
             "the training samples."
         )
-    if trial.trained and set(trial.errors) - trial.trained:
-        words.append(f"The scores of networks carry a penalty of {percent(WORTH_TRAINING)}.")
-    return words
+    return [chosen]
 
 
 def afterwards(comparison: Comparison) -> list[str]:
@@ -161,52 +156,35 @@ def without_result(comparison: Comparison) -> list[str]:
     return [name for name in names if name not in comparison.fits]
 
 
-def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
-    """Return the verdicts of the residual tests of the recommended method, with the tests."""
-    where = "the samples after the training part"
-    if comparison.medians[comparison.recommended].tests:
-        where = f"test record {comparison.tests[0].name or 1}{_one_ahead(comparison)}"
-    tests = comparison.residual_tests
-    return {f"{test.finding()} (Tested on {where}.)": test for test in tests}
+def findings(comparison: Comparison) -> list[str]:
+    """Return the findings of the residual tests of the recommended method."""
+    found = [test.finding() for test in comparison.residual_tests]
+    fit = comparison.medians[comparison.recommended]
+    if found and fit.tests:
+        record = f"test record {comparison.tests[0].name or 1}"
+        if not fit.report.stable:
+            record += (
+                f", predicted one sample ahead, as the model is unstable (at most the last "
+                f"{MOST_ONE_AHEAD:,} samples)"
+            )
+        found.append(f"These are residuals of {record}.")
+    return found
 
 
 def answer(comparison: Comparison) -> list[str]:
     """Return sentences on the fit of the recommended method, and on what it does not explain."""
     fits = "; ".join(f"{of}: {facts[0]}" for of, facts in headline(comparison))
-    left = [unexplained(test) for test in comparison.residual_tests]
-    if left and (how := _one_ahead(comparison)):
-        left.append(f"As the model is unstable, these residuals are those of the test record{how}.")
-    return [" ".join([sentence(fits), *left]), *gravest(comparison), *afterwards(comparison)]
-
-
-def _one_ahead(comparison: Comparison) -> str:
-    """Return how the residuals come about where a test record is not simulated."""
-    fit = comparison.medians[comparison.recommended]
-    return ", predicted one sample ahead" if fit.tests and not fit.report.stable else ""
-
-
-def unexplained(test: ResidualTests) -> str:
-    """Return a sentence on what a method leaves of an output, with its size."""
-    size = f"{percent(test.size or 0.0)} of the output's standard deviation"
-    if test.dependent:
-        return (
-            f"A part of the effect of {test.missed()} on {test.output} is not explained: the RMS "
-            f"of the residuals is {size}."
-        )
-    if test.white:
-        return f"The residuals of {test.output} are white noise; their RMS is {size}."
-    if test.unrelated:
-        return test.finding()
-    return (
-        f"The residuals of {test.output} are not white noise: a disturbance acts, or the model "
-        f"lacks dynamics. Their RMS is {size}."
-    )
+    found = findings(comparison)
+    begin = [" ".join([sentence(fits), *found])]
+    if comparison.record.ny > 1:  # begins with a name
+        begin = [f"{fits}.", " ".join(found)]
+    return [*begin, *afterwards(comparison)]
 
 
 def warnings(comparison: Comparison) -> list[str]:
     """Return warnings about the numbers, the gravest first."""
-    verdicts_of = verdicts(comparison).items()
-    doubtful = [said for said, test in verdicts_of if test.unrelated or not test.accepted]
+    tests = comparison.residual_tests
+    doubtful = [test.finding() for test in tests if test.unrelated or not test.accepted]
     return [*dict.fromkeys((*pressing(comparison), *doubtful, *further(comparison)))]
 
 
@@ -220,7 +198,7 @@ def gravest(comparison: Comparison) -> list[str]:
     return [
         *map(sentence, comparison.clock.notes),
         *_unstable(comparison),
-        *of_inputs(comparison.inputs_beyond_training, comparison.record),
+        *map(sentence, of_inputs(comparison.inputs_beyond_training, comparison.record)),
         *_seen(comparison),
         *_worse_than_mean(comparison),
         *_useless_term(comparison),
@@ -228,12 +206,11 @@ def gravest(comparison: Comparison) -> list[str]:
 
 
 def further(comparison: Comparison) -> list[str]:
-    """Return the other warnings, without those of residual tests."""
+    """Return the other notes of a page, whose table says why a method has no result."""
     return [
+        *_integrates(comparison),
         *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
-        *_missed_interval(comparison),
-        *_missing(comparison),
         *_few_held_out(comparison.plan.train),
         *_notes(comparison),
         *_untested(comparison),
@@ -257,13 +234,18 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
 
 
 def _unstable(comparison: Comparison) -> list[str]:
-    """Return a sentence on a recommended model that is unstable, or integrates."""
+    """Return a sentence on an unstable recommended model."""
     fits = comparison.fits[comparison.recommended]
-    if said := [*filter(None, (fit.report.unstable() for fit in fits))]:
-        return [f"The recommended model is {said[0]}."]
-    if any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
-        return ["The recommended model integrates: a constant input makes it grow steadily."]
-    return []
+    said = [*filter(None, (fit.report.unstable() for fit in fits))]
+    return [f"The recommended model is {said[0]}."] if said else []
+
+
+def _integrates(comparison: Comparison) -> list[str]:
+    """Return a sentence on a recommended model that integrates."""
+    fits = comparison.fits[comparison.recommended]
+    if not any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
+        return []
+    return ["The recommended model integrates: a constant input makes it grow steadily."]
 
 
 def _seen(comparison: Comparison) -> list[str]:
@@ -323,24 +305,6 @@ def _wide_interval(comparison: Comparison) -> list[str]:
         f"The {percent(interval.share)} interval is as wide as the record itself "
         f"({' and '.join(widths)} on average): the held-out errors do not show that the model has "
         "any skill."
-    ]
-
-
-def _missed_interval(comparison: Comparison) -> list[str]:
-    """Return a sentence on an interval with too few samples inside."""
-    best = comparison.recommended
-    share = comparison.require_trial().intervals[best].share
-    missed = [
-        percent(c.values[best]) + (f" ({c.channel})" if c.channel else "")
-        for c in columns(comparison, "in interval")
-        if c.marks.get(best) == "narrow"
-    ]
-    if not missed:
-        return []
-    return [
-        f"The {percent(share)} interval contained only {' and '.join(missed)} of the samples after "
-        "the training part. Either the system has changed, or the training part does not show how "
-        "errors grow."
     ]
 
 
@@ -411,20 +375,6 @@ def _useless_simulator(comparison: Comparison) -> list[str]:
         "The simulator helps at no cut-off frequency, so hybrid models were left out. To compare "
         "them all the same, methods (--methods) must name them."
     ]
-
-
-def of_bands(bands: Bands, training: Record) -> str:
-    """Return sentences on the bands of models, and the reason; empty without such models."""
-    if bands.cutoff is None:
-        return ""
-    below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)
-    choice = bands.choice
-    reason = choice.reason if choice else f"{percent(below)} of the power lies below that"
-    return (
-        f"Models of two bands split the signal at {number(bands.cutoff)} Hz, with filters of "
-        f"order {bands.order}; the low band has every {bands.downsampling}-th sample. "
-        f"{sentence(reason)}"
-    )
 
 
 def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:

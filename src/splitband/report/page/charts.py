@@ -18,8 +18,8 @@ from bokeh.models import (
     FixedTicker,
     HoverTool,
     Line,
-    LogAxis,
     LogTickFormatter,
+    NoOverlap,
     PlainText,
     Range1d,
     Segment,
@@ -47,9 +47,6 @@ MOST = 2_000
 MAX_AXIS_RANGE = 1e3
 """Largest distance of a curve from a plot, in heights of the plot: a canvas takes no larger
 numbers. Layout."""
-MAX_ROUNDING = 1e-4
-"""Largest change of a curve by single precision, as a share of its range: less than a pixel.
-Layout."""
 DATES: dict[str, Any] = {
     "milliseconds": "%H:%M:%S.%3N",
     **dict.fromkeys(("seconds", "minsec"), "%H:%M:%S"),
@@ -63,12 +60,8 @@ BELOW: dict[str, Any] = dict.fromkeys([*DATES][:-3], "%d %b") | {"days": "%Y"}
 """What stands below the first time of the day, or day of the year, on an axis."""
 MIN_EXPONENT = 4
 """Least exponent of a number that is written as a power of ten. Layout."""
-MANY = 200
-"""Least range of an axis of angular frequencies with one number a decade. Layout."""
 MOST_DECIMALS = 12
 """Largest number of decimals in a tooltip. Layout."""
-
-Drawn = npt.NDArray[np.float32] | Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,30 +133,14 @@ class Axis:
         pairs = np.stack([self.bins + sizes // 4, self.bins + 3 * sizes // 4], axis=1)
         return self.values[pairs.ravel()]
 
-    def thinned(self, y: Array) -> Drawn:
+    def thinned(self, y: Array) -> Array:
         """Return the lowest and the highest value by bin, in the order of the curve."""
         if self.whole:
-            return compact(y)
+            return y
         low, high = np.fmin.reduceat(y, self.bins), np.fmax.reduceat(y, self.bins)
         falls = y[self.bins] > y[np.append(self.bins[1:], len(y)) - 1]
         pairs = np.where(falls[:, None], np.stack([high, low], 1), np.stack([low, high], 1))
-        return compact(pairs.ravel())
-
-    def edges(self, lower: Array, upper: Array) -> tuple[Drawn, Drawn]:
-        """Return the lowest lower and the highest upper edge of an interval by bin, twice."""
-        if self.whole:
-            return compact(lower), compact(upper)
-        low, high = np.fmin.reduceat(lower, self.bins), np.fmax.reduceat(upper, self.bins)
-        return compact(np.repeat(low, 2)), compact(np.repeat(high, 2))
-
-
-def compact(y: Array) -> Drawn:
-    """Return a curve in single precision if the difference is invisible, else unchanged."""
-    finite = y[np.isfinite(y)]
-    if not len(finite) or abs(finite).max() > np.finfo(np.float32).max:
-        return y
-    worst = abs(finite.astype(np.float32).astype(np.float64) - finite).max()
-    return y.astype(np.float32) if worst <= MAX_ROUNDING * np.ptp(finite) else y
+        return np.asarray(pairs.ravel())
 
 
 def _range(low: float, high: float, name: str = "") -> Range1d:
@@ -218,6 +195,7 @@ class Chart:
             shown.yaxis.ticker = _decades(limits)
         elif height <= SMALL:
             shown.yaxis.ticker = BasicTicker(desired_num_ticks=4)
+        shown.xaxis.major_label_policy = NoOverlap()
         if axis.dates:
             below, shown.xaxis.axis_label = DatetimeTickFormatter(**BELOW), None
             shown.xaxis.formatter = DatetimeTickFormatter(
@@ -256,9 +234,10 @@ class Chart:
 
     def band(self, lower: Array, upper: Array, key: Key) -> None:
         """Add a shaded area between two curves."""
-        edges = self.axis.edges(self._within(lower), self._within(upper))
-        names = [self._kept(edge) for edge in edges]
+        names = [self._kept(self.axis.thinned(self._within(edge))) for edge in (lower, upper)]
         self._add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.25), key)
+        for name in names:
+            self._add(Line(x=X, y=name, line_width=1.2), key)
 
     def shade(self, key: Key, **edges: Any) -> None:
         """Shade a part of the chart: from `left` to `right`, or from `bottom` to `top`."""
@@ -273,20 +252,10 @@ class Chart:
         style: dict[str, Any] = {"line_dash": "dashed", "line_width": 1.2, "tags": [role]}
         self.figure.add_layout(Span(location=at, dimension=dimension, **style))
 
-    def add_angular_frequencies(self) -> None:
-        """Add an axis of angular frequencies above, to an axis in Hz."""
-        first, last = (2 * math.pi * float(self.axis.values[i]) for i in (0, -1))
-        decades = range(math.floor(math.log10(first)), math.ceil(math.log10(last)) + 1)
-        few = last / first < MANY
-        ticks = [m * 10.0**d for d in decades for m in ((1, 2, 5) if few else (1,))]
-        at: Any = {w / (2 * math.pi): f"{w:g}" for w in ticks if first <= w <= last}
-        ticker: Any = FixedTicker(ticks=[*at], minor_ticks=[])
-        above = LogAxis(ticker=ticker, axis_label=PlainText(text="rad/s"), major_label_overrides=at)
-        self.figure.add_layout(above, "above")
-
     def _add(self, glyph: Any, key: Key) -> None:
         """Add a glyph without Bokeh's glyphs for selections, which take most of a page's time."""
-        self.keys.append(key)
+        if key not in self.keys:
+            self.keys.append(key)
         none: dict[str, Any] = dict.fromkeys(
             ("selection_glyph", "nonselection_glyph", "muted_glyph")
         )

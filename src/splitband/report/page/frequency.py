@@ -13,7 +13,7 @@ from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, squared
 from splitband.report.page.charts import SMALL, TALL, Axis, Chart, log_limits
 from splitband.report.page.over_time import Run
-from splitband.report.page.parts import DASHES, Key, Look
+from splitband.report.page.parts import DASHES, Key
 from splitband.runtime.arrays import Array
 
 MOST_SAMPLES, SEGMENT = 2**18, 2**16
@@ -64,7 +64,7 @@ def error_spectra(
     return middles, ratios, own / (own.sum() or 1.0)
 
 
-def errors_by_band(run: Run, looks: Mapping[str, Look], cutoff: float | None) -> list[Chart]:
+def errors_by_band(run: Run, looks: Mapping[str, Key], cutoff: float | None) -> list[Chart]:
     """Return the plots by output of the errors of all methods over frequency."""
     plots, part = list[Chart](), slice(run.scored, None)
     for i, column in enumerate(run.record.columns):
@@ -80,11 +80,14 @@ def errors_by_band(run: Run, looks: Mapping[str, Look], cutoff: float | None) ->
         scale = max(low, 1e-5 * high), high
         chart = Chart(axis, "error / record (%)", scale, caption, TALL, log=True)
         chart.mark(100.0, "zero", "width")
-        for name in reversed([*ratios]):
-            wide = 2.0 if looks[name].number else 3.0
-            chart.line(100 * ratios[name], looks[name].key(), line_width=wide)
+        for place, name in reversed([*enumerate(ratios)]):
+            chart.line(100 * ratios[name], looks[name], line_width=2.0 if place else 3.0)
         power = Chart(
-            axis, "power (%)", (0.0, 110 * float(share.max())), f"{column}: power by band", SMALL
+            axis,
+            "power (%)",
+            (0.0, 110 * float(share.max())),
+            f"{column}: share of the power by band",
+            SMALL,
         )
         power.stems(100 * share, Key("record", "measured"))
         for each in (chart, power) if cutoff else ():

@@ -29,6 +29,7 @@ def correlation(output: str, test: Correlation) -> Chart:
     values = test.around[most + 1 :] if own else test.around
     lags = np.arange(1.0 if own else -most, most + 1)
     chance = f"p = {number(test.p)}" if test.p >= 0.001 else "p < 0.001"
+    chance = chance.replace(" ", "\N{NO-BREAK SPACE}")
     scale = max(2 * test.band, 1.1 * float(abs(values).max()))
     caption = f"{output}, own past (Ljung-Box: {chance})"
     if not own:
@@ -44,30 +45,30 @@ def correlation(output: str, test: Correlation) -> Chart:
 
 
 def responses(model: Forecaster, every: Sequence[Responses], bode: bool) -> list[Chart]:
-    """Return plots of step responses by input and output; with `bode`, also of gain and phase.
+    """Return plots of step responses by input and output, a curve for each operating point.
 
-    There is one curve for each operating point.
+    With `bode`, gain and phase follow, those at the mean.
     """
     first, stable = every[0], model.require_fitted().report.stable
-    frequencies, _ = first.frequency_response()
+    frequencies, gains = first.frequency_response()
     looks = dict(zip((None, SHARE, 1 - SHARE), DASHES, strict=False))
     keys = [Key(f"inputs at {r.place}", "c0", looks[r.share]) for r in every]
-    gains = [response.frequency_response()[1] for response in every]
     time, over = Axis.over(first.time, "time (s)"), Axis.over_frequency(frequencies, "Hz")
     plots = []
     for (i, u), (j, y) in product(enumerate(first.inputs), enumerate(first.columns)):
-        of, pair = [gain[:, j, i] for gain in gains], f"{u} to {y}"
-        gain = float(first.gains[j, i])
-        said = f": {'static gain ' * bool(np.isfinite(gain))}{gain_in_words(gain)}"
-        caption = f"Step, {pair}" + said * stable
+        pair, gain = f"{u} to {y}", float(first.gains[j, i])
+        caption = f"Step, {pair}"
+        if stable:
+            caption += ": static gain " if np.isfinite(gain) else ": "
+            caption += gain_in_words(gain) + " at the mean" * (len(every) > 1)
         plots.append(_curves(time, "change", caption, keys, [r.y[:, j, i] for r in every]))
         if bode:
-            sizes = [_decibels(np.abs(gain)) for gain in of]
-            plots.append(_curves(over, "gain (dB)", f"Gain, {pair}", keys, sizes))
+            size = _decibels(np.abs(gains[:, j, i]))
+            plots.append(_curves(over, "gain (dB)", f"Gain, {pair}", keys[:1], [size]))
             if isinstance(model, Linear):
-                _add_interval(plots[-1], model, first, sizes[0], (j, i))
-            phases = [np.degrees(np.unwrap(np.angle(gain))) for gain in of]
-            plots.append(_curves(over, "phase (degrees)", f"Phase, {pair}", keys, phases))
+                _add_interval(plots[-1], model, first, size, (j, i))
+            phase = np.degrees(np.unwrap(np.angle(gains[:, j, i])))
+            plots.append(_curves(over, "phase (degrees)", f"Phase, {pair}", keys[:1], [phase]))
     return plots
 
 
@@ -89,10 +90,8 @@ def _add_interval(
 def _curves(
     axis: Axis, label: str, caption: str, keys: Sequence[Key], curves: Sequence[Array]
 ) -> Chart:
-    """Return a small plot of curves; frequencies are also in rad/s."""
+    """Return a small plot of curves."""
     chart = Chart(axis, label, limits(curves), caption, LOW, small=True)
-    if axis.log:
-        chart.add_angular_frequencies()
     for key, y in zip(reversed(keys), reversed(curves), strict=True):
         chart.line(y, key, line_width=1.5)
     return chart

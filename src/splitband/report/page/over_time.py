@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from splitband.forecasters.held_out import Origin, first_held_out
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import DIVERGED
 from splitband.records import Record
+from splitband.records.signals import unit_of
 from splitband.report.numbers import percent
 from splitband.report.page.charts import LOW, SMALL, TALL, Axis, Chart, limits
-from splitband.report.page.parts import Key, Look
+from splitband.report.page.parts import Key
 from splitband.report.predictions import run_of
 from splitband.runtime.arrays import Array
 
@@ -114,7 +115,7 @@ def _run(found: Comparison, record: Record, of: Mapping[str, Pieces], ahead: int
     return Run(record, says, curves, scored, half if level else None, level, parts)
 
 
-def over_time(run: Run, looks: Mapping[str, Look], name: str = "") -> list[Chart]:
+def over_time(run: Run, looks: Mapping[str, Key], name: str = "") -> list[Chart]:
     """Return the plots of a record: each output and its residuals, then the inputs.
 
     They zoom together; the buttons of the page move the axis with the `name` "time".
@@ -124,44 +125,44 @@ def over_time(run: Run, looks: Mapping[str, Look], name: str = "") -> list[Chart
     return [*outputs, *_inputs(run.record, axis)]
 
 
-def _output(run: Run, looks: Mapping[str, Look], axis: Axis, i: int) -> list[Chart]:
+def _output(run: Run, looks: Mapping[str, Key], axis: Axis, i: int) -> list[Chart]:
     """Return the plots of an output: measured and predicted, and the residuals below."""
     record, column, (best, *others) = run.record, run.record.columns[i], run.curves
-    measured, look = record.y_with_gaps[:, i], looks[best]
+    measured = record.y_with_gaps[:, i]
     predicted, height = run.curves[best][:, i], TALL if record.ny <= MAX_TALL_CHANNELS else LOW
     scale = limits([measured, np.clip(predicted, *limits([measured], DIVERGED))])
     caption = f"{column}, measured and predicted: {run.says}"
     if np.isfinite(predicted[: run.scored]).any():
-        caption += ", and from the first samples before it"
-    chart = Chart(axis, column, scale, caption, height)
+        caption += "; before it, from the first samples"
+    chart = Chart(axis, record.units[i] or column, scale, caption, height)
     for part, (first, last) in run.parts.items():
         ends = {"left": float(axis.values[first]), "right": float(axis.values[last])}
         chart.shade(Key(part, PARTS[part], shaded=True), **ends)
     for name in reversed(others):
-        chart.line(run.curves[name][:, i], looks[name].key(hidden=not run.alike))
-    chart.line(predicted, look.key(), line_width=4.0, line_alpha=0.8)
+        chart.line(run.curves[name][:, i], replace(looks[name], hidden=not run.alike))
+    chart.line(predicted, looks[best], line_width=4.0, line_alpha=0.8)
     chart.line(measured, Key(MEASURED, MEASURED), line_width=0.9)
     shown = {name: looks[name] for name in run.curves if run.alike or name == best}
     return [chart, _residuals(run, shown, axis, i)]
 
 
-def _residuals(run: Run, shown: Mapping[str, Look], axis: Axis, i: int) -> Chart:
+def _residuals(run: Run, shown: Mapping[str, Key], axis: Axis, i: int) -> Chart:
     """Return the plot of what methods leave of an output, with the interval of a single one."""
     measured, (look, *others) = run.record.y_with_gaps[:, i], shown.values()
     left = {name: measured - run.curves[name][:, i] for name in shown}
     half = np.full(len(measured), np.nan) if run.half is None else run.half[:, i]
     low, high = limits([*(of[run.scored :] for of in left.values()), half, -half])
     reach = DIVERGED * float(np.ptp(limits([measured])))
-    unit, caption = run.record.units[i], "Measured minus predicted"
-    caption += "" if others else f", {look.label}"
+    caption = "Residual: measured minus predicted"
+    caption += "" if others else f", {look.name}"
     caption += "" if run.half is None else f"; shaded: {percent(run.level)} interval"
-    label = f"residual ({unit})" if unit else "residual"
-    chart = Chart(axis, label, (max(low, -reach), min(high, reach)), caption, SMALL)
-    if run.half is not None:
-        chart.band(-half, half, Key("interval", look.color, shaded=True))
+    label, scale = run.record.units[i] or "residual", (max(low, -reach), min(high, reach))
+    chart = Chart(axis, label, scale, caption, SMALL)
     for name in reversed([*shown]):
-        key = shown[name].key() if others else Key("residual", MEASURED)
+        key = shown[name] if others else Key("residual", MEASURED)
         chart.line(left[name], key, line_width=0.9)
+    if run.half is not None:  # in front of noise, which hides it
+        chart.band(-half, half, Key("interval", look.color, shaded=True))
     return chart
 
 
@@ -171,7 +172,8 @@ def _inputs(record: Record, axis: Axis) -> list[Chart]:
     u = np.zeros((len(record), 0)) if record.u is None else record.u
     for name, values in zip(record.inputs, u.T, strict=True):
         small = record.nu > MAX_TALL_CHANNELS
-        chart = Chart(axis, name, limits([values]), f"Input {name}", SMALL, small=small)
+        label = unit_of(name) or name
+        chart = Chart(axis, label, limits([values]), f"Input {name}", SMALL, small=small)
         chart.line(values, Key(name, "truth"), stepped=True, line_width=1.0)
         plots.append(chart)
     return plots

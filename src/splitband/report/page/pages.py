@@ -22,14 +22,14 @@ from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.held_out import fit_ahead, forecasts, many_origins
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.network import Network
-from splitband.metrics import fit_percent, tenths
+from splitband.metrics import fit_percent
 from splitband.records import Record
 from splitband.report import tables, words
 from splitband.report.environment import environment
 from splitband.report.numbers import complex_in_words, number
 from splitband.report.page import frequency, model, over_time
 from splitband.report.page.over_time import Run
-from splitband.report.page.parts import Look, Page, Section, Usage, looks
+from splitband.report.page.parts import Key, Page, Section, Usage, looks
 from splitband.report.predictions import predicted
 from splitband.report.table import Column, Table
 from splitband.report.tables import columns, ordered
@@ -61,12 +61,12 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     items = [*map(words.sentence, warned)]
     answer = f"Recommended: {titled(best, labels[best])}"
     sections = [
-        Section("answer", answer, words.answer(result), plots),
+        Section("answer", answer, words.answer(result), plots, warnings=words.gravest(result)),
         *([Section("notes", "To keep in mind", items=items)] if items else []),
         *_by_band(runs[0], drawn, _cutoff(result, drawn)),
         _methods(result, listed, drawn),
-        *_residuals(result.residual_tests),
-        *_responses(result.model, labels[best]),
+        *_residuals(result.residual_tests, words.findings(result)),
+        *_responses(result.model),
         *_linear(result.model),
         *_unknown([fits[0].fitted for fits in result.fits.values()]),
         *_seeds(result, listed),
@@ -82,17 +82,18 @@ def _cutoff(result: Comparison, names: Iterable[str]) -> float | None:
     return next((each.cutoff for each in bands if each is not None and each.cutoff), None)
 
 
-def _by_band(run: Run, drawn: Mapping[str, Look], cutoff: float | None) -> list[Section]:
+def _by_band(run: Run, drawn: Mapping[str, Key], cutoff: float | None) -> list[Section]:
     """Return the section of errors over frequency."""
     plots = frequency.errors_by_band(run, drawn, cutoff)
     text = (
-        "The spectrum of each error over that of the record, as a ratio of amplitudes. At 100 % a "
-        "method knows no more of a band than the mean; a band with little power counts little."
+        "Each curve is the spectrum of a method's error over that of the record, as a ratio of "
+        "amplitudes. At 100 % a method predicts a band no better than the mean does. A band with "
+        "little power counts little."
     )
     if cutoff is not None:
-        text += f" Dashed: the cut-off at {number(cutoff)} Hz between the bands of two models."
+        text += f" The dashed line is the cut-off at {number(cutoff)} Hz between two models."
     if not run.scored and "training" in run.parts:
-        text += " These are the samples that the methods were trained on."
+        text += " The methods were trained on these samples."
     return [Section("bands", "Error by frequency band", [text], plots)] if plots else []
 
 
@@ -151,40 +152,40 @@ def _near(result: Comparison, names: Iterable[str]) -> list[Column]:
     ]
 
 
-def _residuals(tests: Sequence[ResidualTests]) -> list[Section]:
+def _residuals(tests: Sequence[ResidualTests], findings: Sequence[str]) -> list[Section]:
     """Return the section of the residual tests."""
-    text = [
-        " ".join(map(words.unexplained, tests)),
+    text = (
         "The plots show correlations as they are tested. For correlations with inputs, residuals "
         "and inputs are prewhitened by an autoregressive model of the residuals. Lags reach twice "
         f"the slowest period. By chance, {100 * CONFIDENCE:.0f} % of the values lie in the shaded "
         "area. Values outside it show an effect of the input that the model misses (at positive "
         "lags), or feedback from the output to the input (at negative lags). The F test takes all "
         "lags and inputs together, and powers of the output: it detects small effects that no "
-        "single lag shows.",
-    ]
+        "single lag shows."
+    )
     plots = [model.correlation(t.output, c) for t in tests for c in (t.whiteness, *t.inputs)]
-    return [Section("residuals", "Residual tests", text, plots)] if tests else []
+    words_of = [" ".join(findings), text]
+    return [Section("residuals", "Residual tests", words_of, plots)] if tests else []
 
 
-def _responses(recommended: Forecaster, label: str) -> list[Section]:
+def _responses(recommended: Forecaster) -> list[Section]:
     """Return the section of the step and Bode responses of a model, if it has inputs."""
     title = "Step and Bode responses"
     if "simulator" in recommended.needs and recommended.require_fitted().record.nu:
-        text = f"{label} needs its simulator's output and has no responses by itself."
-        return [Section("responses", title, [words.sentence(text)])]
+        text = "The model needs the output of its simulator: it has no responses by itself."
+        return [Section("responses", title, [text])]
     every = respond_over_range(recommended)
     if not every:
         return []
     first = every[0]
     text = (
-        f"The plots show how the output of {label} changes for a step of 1 of one input, "
-        f"computed by small steps around the mean of the training inputs, {first.operating_point}."
+        "The plots show how an output changes for a step of 1 of one input, computed by small "
+        f"steps around the mean of the training inputs, {first.operating_point}."
     )
     if len(every) > 1:
         text += (
             " Dashed and dotted curves are for other points of their ranges. If the curves differ, "
-            "the gain depends on the operating point."
+            "the gain depends on the operating point. Gain and phase are at the mean."
         )
     bode = len(first.inputs) * len(first.columns) <= MAX_BODE
     plots = model.responses(recommended, every, bode)
@@ -213,9 +214,9 @@ def _unknown(models: Sequence[Forecaster]) -> list[Section]:
     for each in (part for whole in models for part in all_parts(whole)):
         if isinstance(each, GreyBox) and (drawn := model.unknown(each)):
             text = (
-                "What was found in place of the unknown terms of the equation, over the ranges of "
-                "their quantities in training, outside which a term is not known and goes on "
-                "straight. Shaded: the range of all trainings that fit as well."
+                "These curves take the place of the unknown terms of the equation, over the ranges "
+                "of their arguments in training. Beyond, a term continues as a straight line. "
+                "Shaded: the range of all trainings that fit as well."
             )
             return [Section("unknown", "Unknown terms", [text], plots=drawn)]
     return []
@@ -240,8 +241,8 @@ def _seeds(result: Comparison, listed: Table) -> list[Section]:
         return []
     found.append(Column("trainings", "count", counts, ranked=False))
     title = (
-        f"Fits of single trainings, which differ by their seed: {every.says}. The prediction of a "
-        "method is the median of theirs, and usually has a better fit"
+        f"Fits of single trainings, which differ in their seed: {every.says}. The prediction of a "
+        "method is the median of its trainings, and usually has a better fit."
     )
     table = Table(title, found, dict.fromkeys(counts, ""), labels=listed.labels)
     return [Section("seeds", "Spread over seeds", tables=[table])]
@@ -254,20 +255,18 @@ def of_check(
     record, name = result.record, result.method
     label = checked.in_words() or name
     stable = checked.require_fitted().report.stable
-    says = "simulation" if stable else "predictions one sample ahead"
+    says = "simulation" if stable else f"the last {len(result.simulation):,} samples, one ahead"
     run = Run(record, says, {name: _placed(result.simulation.y, record)})
     drawn = looks({name: label})
-    facts = [
-        (column, "\n".join(f"fit {tenths(of[i])} %, {far}" for far, of in result.fits.items()))
-        for i, column in enumerate(record.columns)
-    ]
     answer = f"{result.title or name}: {result.summary()}"
+    fits = f"{'; '.join(result.fits_in_words())}."
+    said = [fits, *result.in_words()]
     plots = over_time.over_time(run, drawn)
     sections = [
-        Section("answer", answer, result.in_words(), plots, facts=facts),
+        Section("answer", answer[:1].upper() + answer[1:], said, plots),
         *_by_band(run, drawn, None),
-        *_residuals(result.tests),
-        *(_responses(checked, label) if responses else []),
+        *_residuals(result.tests, [test.finding() for test in result.tests]),
+        *(_responses(checked) if responses else []),
         *_linear(checked),
         *_unknown([checked]),
         *_made(used),
@@ -303,11 +302,11 @@ def of_inspection(found: Inspection, used: Usage) -> Page:
     """Return the page of an inspection of a record."""
     record = found.record
     facts = [(c.name, f"{c.role}: {c.range}; {', '.join(c.reasons)}") for c in found.columns]
-    items = [words.sentence(text) for text in (*found.warnings, *words.of_gaps(record))]
+    warned, gaps = [*map(words.sentence, found.warnings)], words.of_gaps(record)
     drawn = frequency.spectrum(record, found.bands.cutoff)
     listed = [] if found.simulator is None else [tables.of_oracle(found.simulator)]
     said = [words.sentence(text) for text in found.in_words()]
-    answer = Section("answer", "What it holds", said, drawn, listed, items, facts=facts)
+    answer = Section("answer", "What it holds", said, drawn, listed, warned, gaps, facts=facts)
     return Page(record.name or "a record", words.lead(record), [answer, *_made(used)])
 
 
@@ -317,7 +316,9 @@ def _made(used: Usage) -> list[Section]:
     made = environment()
     facts = [("date", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"), ("command", used.asked)]
     facts += [
-        (f"SHA-256 of {each}", sha256_of(each)) for each in used.files if Path(each).is_file()
+        (f"SHA-256 of {Path(each).name}", sha256_of(each))
+        for each in used.files
+        if Path(each).is_file()
     ]
     facts += [("versions", ", ".join(f"{name} {v}" for name, v in made["versions"].items()))]
     facts += [("machine", made["machine"]), ("commit", made["commit"])]

@@ -27,7 +27,8 @@ class Section:
     words: Sequence[str] = ()  # paragraphs
     plots: Sequence[Chart] = ()
     tables: Sequence[Table] = ()
-    items: Sequence[str] = ()  # warnings
+    warnings: Sequence[str] = ()  # what a reader of the paragraphs must know
+    items: Sequence[str] = ()  # notes
     code: Sequence[tuple[str, str]] = ()  # pairs of a purpose and lines to copy
     facts: Sequence[tuple[str, str]] = ()  # pairs of a name and a value
 
@@ -43,39 +44,19 @@ class Key:
     hidden: bool = False  # at first
 
 
-@dataclass(frozen=True)
-class Look:
-    """The look of a method's curves, equal in all plots."""
-
-    name: str  # name of the forecaster
-    label: str  # the method in words
-    number: int = 0  # place among the drawn methods; 0: the recommended one
-
-    @property
-    def color(self) -> str:
-        """Return the name of the colour in the page's style."""
-        return f"c{self.number % len(PALETTE)}"
-
-    @property
-    def dash(self) -> tuple[int, ...]:
-        """Return the lengths of dashes and gaps."""
-        return DASHES[self.number % len(DASHES)]
-
-    def key(self, hidden: bool = False) -> Key:
-        """Return the entry of a legend, possibly `hidden` at first."""
-        return Key(self.label, self.color, self.dash, hidden=hidden)
-
-
 def looks(
     labels: Mapping[str, str], minor: Collection[str] = (), needed: Collection[str] = ()
-) -> dict[str, Look]:
-    """Return the looks of the methods with curves: the first ones that are not `minor`.
+) -> dict[str, Key]:
+    """Return the curves of the methods, alike in all plots: the first ones that are not `minor`.
 
     `labels` are methods in words, in the order of the table; `needed` ones have curves, too.
     """
     first = [name for name in labels if name not in {*minor} - {*needed}][:MOST_DRAWN]
     drawn = [*first, *(name for name in labels if name in needed and name not in first)]
-    return {name: Look(name, labels[name], i) for i, name in enumerate(drawn)}
+    return {
+        name: Key(labels[name], f"c{i % len(PALETTE)}", DASHES[i % len(DASHES)])
+        for i, name in enumerate(drawn)
+    }
 
 
 @dataclass(frozen=True, eq=False)
