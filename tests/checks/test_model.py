@@ -246,6 +246,35 @@ def test_a_free_run_that_leaves_the_range_and_an_input_beyond_it_are_named() -> 
     assert any("force" in line and "range in training" in line for line in found.in_words())
 
 
+class Bounded(Growing):
+    """A network whose linear part has a pole outside the unit circle; its simulation is bounded."""
+
+    name = "bounded"
+
+    def learn(self, records: Any, **_: Any) -> None:
+        self.fitted = self.require_fitted().reporting(growth=1.02)
+
+    def extrapolate(self, known: ForecastContext) -> Array:
+        return np.zeros((known.steps, known.y.shape[1]))
+
+
+class Leaving(Bounded):
+    """Another one, whose simulation leaves the range."""
+
+    name = "leaving"
+    extrapolate = Growing.extrapolate
+
+
+def test_a_network_is_judged_by_its_simulation_whatever_the_pole_of_its_linear_part() -> None:
+    record = sb.Record(np.sin(0.3 * np.arange(300)), 0.1)
+    found = sb.check(Bounded().fit(record), record)
+    assert "simulation" in found.fits
+    assert "stays in range" in str(found)
+    found = sb.check(Leaving().fit(record), record)
+    assert "simulation" not in found.fits
+    assert "perhaps unstable: its linear part has the pole 1.02" in str(found)
+
+
 def test_no_long_free_run_is_asked_of_a_model_with_an_exported_trajectory() -> None:
     time = 0.1 * np.arange(400)
     truth = sb.Recorded.of(sb.Record(np.sin(time), 0.1))

@@ -179,4 +179,4 @@ def test_a_network_that_drifts_from_the_training_samples_is_not_recommended(
     assert trial.errors["growing"] < trial.errors["settled"]
     assert found.recommended == best
     said = " ".join(words.why(trial, train, {}))
-    assert "The score of growing, which is unstable, is the larger error of its simulation" in said
+    assert "The score of growing, which drifts, is the larger error of its simulation" in said

@@ -38,6 +38,7 @@ from splitband.metrics import (
 from splitband.records import Record, check_alike, require_records
 from splitband.records.signals import first_after
 from splitband.runtime.arguments import whole
+from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training.settings import default_warmup
@@ -59,8 +60,8 @@ class ModelCheck:
     ----------
     method : Name of the forecaster.
     record : The record of the check.
-    simulation : The free run from a warm-up on the first samples to the end. Of an unstable model
-        the last `MOST_ONE_AHEAD` predictions one sample ahead, in its place in `tests`, too.
+    simulation : The free run from a warm-up on the first samples to the end. Of a model without
+        one the last `MOST_ONE_AHEAD` predictions one sample ahead, in its place in `tests`, too.
     fits : Fit in percent by output, of "simulation", "1 sample ahead" and so on.
     tests : Residual tests by output.
     leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
@@ -68,6 +69,7 @@ class ModelCheck:
     unchecked : Reason for a missing run; empty otherwise.
     beyond : Inputs and outputs outside their range in training.
     title : Kind and name of the forecaster, in words.
+    free : Whether `simulation` is a free run, see `runs_free`.
     """
 
     method: str
@@ -79,6 +81,7 @@ class ModelCheck:
     unchecked: str = ""
     beyond: Sequence[Extrapolation] = field(default_factory=tuple)
     title: str = ""
+    free: bool = True
 
     @property
     def outcome(self) -> Outcome:
@@ -161,9 +164,9 @@ def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> M
     Returns the fit of a simulation and of predictions 1, `ahead` / 10 and `ahead` samples ahead,
     the tests of the residuals, whether a long free run stays in range, and signals beyond their
     range in training. `ahead` is by default that for which the model was chosen, or as far as its
-    forecasts reach, or else 10. No free run is demanded of an unstable model: its residuals are
-    those of predictions one sample ahead. For an `anchored` forecaster, the time stamps of `record`
-    count from the beginning of the training record.
+    forecasts reach, or else 10. No free run is demanded of a model of an unstable plant (see
+    `runs_free`): its residuals are those of predictions one sample ahead. For an `anchored`
+    forecaster, the time stamps of `record` count from the beginning of the training record.
 
     Raises
     ------
@@ -175,26 +178,27 @@ def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> M
     fitted = forecaster.require_fitted()
     require_records("record", record)
     check_alike(record, fitted.record, "record")
-    unstable = fitted.report.unstable()
-    free = _simulated(forecaster, record)
-    if free is None:
+    found = _simulated(forecaster, record)
+    if found is None:
         raise InputError(
             f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, which "
             f"takes {_warmup(forecaster, record)} samples in a row without gaps, got {len(record)}"
         )
+    said, free = found
     with without_warnings(ExtrapolationWarning):
-        begin = len(record) - len(free)
-        fits = {"simulation": tuple(fit_percent(record.truth[begin:], free.y).tolist())}
-        fits = ({} if unstable else fits) | _ahead(forecaster, record, begin, ahead)
-        unchecked = f"the model is {unstable}" if unstable else ""
+        begin = len(record) - len(said)
+        fits = {"simulation": tuple(fit_percent(record.truth[begin:], said.y).tolist())}
+        fits = (fits if free else {}) | _ahead(forecaster, record, begin, ahead)
+        unchecked = "" if free else f"the model is {fitted.report.unstable()}"
         exported = any(simulator.own_times for simulator in simulators_of(forecaster))
         if exported or "simulator" in forecaster.needs:
             unchecked = "it needs the simulator's output beyond the record"
         leaves = None if unchecked else _leaves(forecaster, record, begin)
-    tests = tests_of(record, free, late=bool(unstable))
+    tests = tests_of(record, said, late=not free)
     beyond = *fitted.inputs_beyond(record.u), *fitted.outputs_beyond(record.y_with_gaps)
     title = forecaster.title
-    return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond, title)
+    facts = fits, tests, leaves, unchecked, beyond, title, free
+    return ModelCheck(forecaster.name, record, said, *facts)
 
 
 def usual_ahead(forecaster: Forecaster) -> int:
@@ -222,9 +226,20 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
 
     Returns nothing for a record with too few samples for `check`.
     """
-    free = _simulated(forecaster, record)
-    late = not forecaster.require_fitted().report.stable
-    return () if free is None else tests_of(record, free, late)
+    found = _simulated(forecaster, record)
+    return () if found is None else tests_of(record, found[0], late=not found[1])
+
+
+def runs_free(forecaster: Forecaster, simulated: Array) -> bool:
+    """Return whether a simulation `(time, ny)` of a forecaster is one to judge it by.
+
+    That of an unstable plant is none, as errors grow without bound, nor that of a network with an
+    unstable linear part where it leaves the range of training.
+    """
+    fitted = forecaster.require_fitted()
+    if fitted.report.stable or fitted.report.reach is not None:
+        return fitted.report.stable
+    return leaves_range(fitted.y_range, simulated) is None
 
 
 def _warmup(forecaster: Forecaster, record: Record) -> int:
@@ -232,25 +247,27 @@ def _warmup(forecaster: Forecaster, record: Record) -> int:
     return max(forecaster.warmup or default_warmup(len(record)), 2)
 
 
-def _simulated(forecaster: Forecaster, record: Record) -> Prediction | None:
+def _simulated(forecaster: Forecaster, record: Record) -> tuple[Prediction, bool] | None:
     """Simulate a record from a warm-up on its first samples to its end; None for a short one.
 
-    An unstable model predicts each of the last `MOST_ONE_AHEAD` samples from those before it
-    instead.
+    A model that does not run free (`runs_free`), which is returned as well, predicts each of the
+    last `MOST_ONE_AHEAD` samples from those before it instead.
     """
     begin = first_after(record.y_with_gaps, _warmup(forecaster, record))
     if begin is None or len(record) - begin < 2 * LAGS:
         return None
     other = not forecaster.anchored
-    if forecaster.require_fitted().report.stable:
+    if forecaster.require_fitted().report.reach is None:
         with without_warnings(ExtrapolationWarning):
-            return forecaster.predict(**after(record, begin), other_record=other)
+            said = forecaster.predict(**after(record, begin), other_record=other)
+        if runs_free(forecaster, said.y):
+            return said, True
     begin = max(begin, len(record) - MOST_ONE_AHEAD)
     origins = [Origin(0, at, 1) for at in range(begin, len(record))]
     known = known_of(forecaster, other_record=other, **after(record, begin))
     made = forecasts(forecaster.run_over(known), record, origins, other_record=other)
     y = np.concatenate([said.y for said in made.values()])
-    return Prediction(y, record[:begin].grid.after(len(y)), record.columns)
+    return Prediction(y, record[:begin].grid.after(len(y)), record.columns), False
 
 
 def _ahead(

@@ -159,7 +159,8 @@ def step_responses(
         For a forecaster without inputs, and one that needs a simulator's output from a record.
     """
     fitted = forecaster.require_fitted()
-    record, steps, growth = fitted.record, whole("steps", steps), fitted.report.growth
+    record, steps, report = fitted.record, whole("steps", steps), fitted.report
+    growth = 1.0 if report.reach is None else report.growth
     if growth > 1:
         steps = min(steps, max(int(np.log(GROWN) / np.log(growth)), 2))
     if fitted.u_summary is None:
@@ -238,7 +239,7 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     remarks = (
         [f"In training {', '.join(still)} never moved: the effect is unknown."] if still else []
     )
-    stable = forecaster.require_fitted().report.stable
+    stable = forecaster.require_fitted().report.reach is None
     if not stable:
         remarks.append(
             "The model is unstable: its responses grow without bound, and have no static gain."

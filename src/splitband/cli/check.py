@@ -83,7 +83,7 @@ def check(
         printing.console.print(str(each.check))
         for remark in each.responses[0].remarks if each.responses else ():
             printing.warn(remark)
-        stable = each.model.require_fitted().report.stable
+        stable = each.model.require_fitted().report.reach is None
         for gains in tables.of_gains(each.responses) if stable else ():
             printing.table(gains)
     printing.results_of(out)

@@ -9,12 +9,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
 from rich.progress import Progress as BarOfEpochs
 
+from splitband.checks.model import runs_free
 from splitband.cli import options, printing
 from splitband.cli.display import running, workers
 from splitband.cli.requests import Request, planned
@@ -156,13 +156,13 @@ def _try_out(forecaster: Forecaster, ahead: int | None) -> None:
 def _training_error(forecaster: Forecaster) -> float | None:
     """Return the RMSE of a free run over the training record; None where it shows nothing.
 
-    That is where a record is no longer than the warm-up, and of an unstable model.
+    That is where a record is no longer than the warm-up, and of a model that does not run free.
     """
     fitted = forecaster.require_fitted()
-    record, stable = fitted.record, fitted.report.stable
+    record = fitted.record
     start = first_origin(record, len(record), forecaster.warmup).at
-    if start == len(record) or not stable:
+    if start == len(record):
         return None
     with without_warnings(ExtrapolationWarning):
         y = forecaster.predict(**after(record, start)).y
-    return rmse(record.y_with_gaps[start:], np.asarray(y))
+    return rmse(record.y_with_gaps[start:], y) if runs_free(forecaster, y) else None

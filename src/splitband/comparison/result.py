@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from splitband.checks.model import tests_of, tests_on
+from splitband.checks.model import runs_free, tests_of, tests_on
 from splitband.checks.residuals import ResidualTests
 from splitband.comparison.backtest import Fit
 from splitband.comparison.clock import Clock
@@ -270,7 +270,7 @@ class Comparison:
         fit = self.medians[self.recommended]
         if fit.tests:
             return tests_on(self.trained(), self.tests[0])
-        if fit.forecast is None or not fit.report.stable:
+        if fit.forecast is None or not runs_free(fit.fitted, fit.forecast.y):
             return ()
         return tests_of(self.record, fit.forecast, late=False)
 

@@ -41,8 +41,9 @@ class FitReport:
     notes : Remarks on the training record, and problems in training that were corrected.
     cut : Whether a deadline ended the training early.
     growth : Factor by which an error of a simulation grows each sample; above 1 where it is known
-        that a simulation may grow without bound.
-    reach : Samples ahead for which forecasts of an unstable plant are worth making, where known.
+        that a simulation may grow without bound. Of a network that of its linear part.
+    reach : Samples ahead for which forecasts of an unstable plant are worth making; None for a
+        plant that is stable, as far as is known.
     parameters : The fitted parameters of a simulator, in a form that JSON can hold.
     """
 
@@ -64,11 +65,15 @@ class FitReport:
         """Return in words that it is unstable, and how far; empty for a stable model."""
         if self.stable:
             return ""
+        if self.reach is None:
+            return (
+                f"perhaps unstable: its linear part has the pole {self.growth:.4g}, so that a "
+                "simulation may grow without bound where it leaves the range of training"
+            )
         doubled = math.log(2) / math.log(self.growth)
-        limit = "" if self.reach is None else f"; forecasts up to {self.reach} samples ahead"
         return (
             f"unstable: largest pole {self.growth:.4g}, an error doubles every {doubled:.3g} "
-            f"samples{limit}"
+            f"samples; forecasts up to {self.reach} samples ahead"
         )
 
 

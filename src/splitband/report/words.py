@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from splitband.checks.model import MOST_ONE_AHEAD
+from splitband.checks.model import MOST_ONE_AHEAD, runs_free
 from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.checks import repeats_training
 from splitband.comparison.methods import GREY_BOX, HYBRIDS
@@ -112,7 +112,7 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
     if trial.drifting:
         names = ", ".join(called.get(name, name) for name in trial.drifting)
         chosen += (
-            f" The score of {names}, which is unstable, is the larger error of its simulation of "
+            f" The score of {names}, which drifts, is the larger error of its simulation of "
             "the training samples."
         )
     return [chosen]
@@ -162,7 +162,7 @@ def findings(comparison: Comparison) -> list[str]:
     fit = comparison.medians[comparison.recommended]
     if found and fit.tests:
         record = f"test record {comparison.tests[0].name or 1}"
-        if not fit.report.stable:
+        if not runs_free(fit.fitted, fit.tests[0].y):
             record += (
                 f", predicted one sample ahead, as the model is unstable (at most the last "
                 f"{MOST_ONE_AHEAD:,} samples)"
@@ -234,10 +234,11 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
 
 
 def _unstable(comparison: Comparison) -> list[str]:
-    """Return a sentence on an unstable recommended model."""
-    fits = comparison.fits[comparison.recommended]
-    said = [*filter(None, (fit.report.unstable() for fit in fits))]
-    return [f"The recommended model is {said[0]}."] if said else []
+    """Return a sentence on a recommended model that is unstable, or drifts in a simulation."""
+    name = comparison.recommended
+    fits, drifts = comparison.fits[name], name in comparison.require_trial().drifting
+    said = [fit.report.unstable() for fit in fits if drifts or fit.report.reach is not None]
+    return [f"The recommended model is {each}." for each in [*filter(None, said)][:1]]
 
 
 def _integrates(comparison: Comparison) -> list[str]:

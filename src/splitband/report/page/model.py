@@ -49,7 +49,7 @@ def responses(model: Forecaster, every: Sequence[Responses], bode: bool) -> list
 
     With `bode`, gain and phase follow, those at the mean.
     """
-    first, stable = every[0], model.require_fitted().report.stable
+    first, stable = every[0], model.require_fitted().report.reach is None
     frequencies, gains = first.frequency_response()
     looks = dict(zip((None, SHARE, 1 - SHARE), DASHES, strict=False))
     keys = [Key(f"inputs at {r.place}", "c0", looks[r.share]) for r in every]

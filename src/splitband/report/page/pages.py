@@ -254,8 +254,9 @@ def of_check(
     """Return the page of a check of a model."""
     record, name = result.record, result.method
     label = checked.in_words() or name
-    stable = checked.require_fitted().report.stable
-    says = "simulation" if stable else f"the last {len(result.simulation):,} samples, one ahead"
+    says = (
+        "simulation" if result.free else f"the last {len(result.simulation):,} samples, one ahead"
+    )
     run = Run(record, says, {name: _placed(result.simulation.y, record)})
     drawn = looks({name: label})
     answer = f"{result.title or name}: {result.summary()}"
