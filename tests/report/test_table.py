@@ -116,7 +116,8 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
 def test_what_casts_doubt_stands_before_the_plots(seeds: Comparison, tmp_path: Path) -> None:
     trial = seeds.require_trial()
     held = {n: replace(each, deviation=0 * each.deviation) for n, each in trial.held_out.items()}
-    unstable = [comparisons.with_report(f, FitReport(growth=1.05, reach=20)) for f in seeds.fits["mean"]]
+    grows = FitReport(growth=1.05, reach=20)
+    unstable = [comparisons.with_report(fit, grows) for fit in seeds.fits["mean"]]
     fits = {**seeds.fits, trial.recommended: unstable}
     trial = replace(trial, held_out=held, failed={"gru": "it diverged"})
     doubtful = replace(seeds, fits=fits, trial=trial)
