@@ -215,7 +215,7 @@ def test_residuals_of_an_unstable_hybrid_take_one_run_of_its_equation(
     bands = sb.Bands(0.2, 1, 1)
     hybrid = sb.Filtered(rig(k=4.0, c=0.5), sb.StateSpace(2), bands, True, short)
     hybrid.fit(driven(0)[:300], seed=0)
-    hybrid.fitted = hybrid.require_fitted().reporting(growth=1.001)
+    hybrid.fitted = hybrid.require_fitted().reporting(growth=1.001, reach=50)
     fitted = sb.Ensemble.of([hybrid])
     monkeypatch.setattr(sb.Ode, "respond", counted)
     for samples in (200, 400):

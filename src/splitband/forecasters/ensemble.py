@@ -111,7 +111,8 @@ class Ensemble(Forecaster):
         notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
         cut, growth = any(r.cut for r in reports), max(r.growth for r in reports)
         seconds = sum(r.seconds for r in reports)
-        report = FitReport(seed, seconds, reports[0].losses, notes, cut, growth)
+        reach = min((r.reach for r in reports if r.reach is not None), default=None)
+        report = FitReport(seed, seconds, reports[0].losses, notes, cut, growth, reach)
         longest = max((m.require_fitted() for m in members), key=lambda fitted: len(fitted.record))
         self.fitted = replace(longest, report=report)
 

@@ -294,7 +294,7 @@ def _augmented(
         if decay is not None:
             shooting.simulator, shooting.trained = begun(shooting, fractions, known, seed)
             common = np.concatenate([fractions, shooting.simulator.weights[shooting.trained]])
-            shooting.prior = prior(shooting, common, known, decay)
+            shooting.prior, shooting.decay = prior(shooting, common, known, decay), decay
         found = trained(shooting, common, known)
         errors = [shooting.ahead(each.length, each.fit, alone.experiments) for each in found]
         return min(
@@ -354,7 +354,7 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
     fractions = unknowns[: len(shooting.names)]
     compared = shooting.compare(unknowns, slopes=True)
     errors, parameters = np.concatenate(compared.errors), shooting.simulator.known
-    information = shooting.information(compared.normal)
+    information = shooting.information(shooting.undecayed(compared.normal))
     deviations, correlations, remarks = uncertainty(
         shooting.names, parameters, fractions, errors / shooting.noise, information
     )
@@ -368,6 +368,7 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
 def _replaceable(shooting: Shooting, unknowns: Array) -> list[str]:
     """Return a remark on parameters that are far less certain as terms can take their place."""
     normal, n = shooting.compare(unknowns, slopes=True).normal, len(shooting.names)
+    normal = shooting.undecayed(normal)
     keep = [*range(n), *range(shooting.common, len(normal))]
     both = [shooting.information(each) for each in (normal, normal[np.ix_(keep, keep)])]
     with np.errstate(all="ignore"):

@@ -31,6 +31,8 @@ from splitband.simulators.user_code import failure, is_ours
 
 GROWTH = 4
 """Growth of windows from stage to stage. Bounds the time."""
+_REGULAR = 1e-6
+"""Share of the weight decay that is left, as weights may have no effect. Rounding."""
 MOST_GROWTH, _EXPONENT = 10.0, 1.5
 """Largest growth of an error of the state in a window, and least exponent of the growth in a second
 half by that in the first one: 1 for powers of time, 2 for exponentials. By eye."""
@@ -120,6 +122,7 @@ class Shooting:
     anchored : Whether the given initial state counts for the first one of several windows.
     trained : Which weights of unknown terms are unknowns, `(weights,)`.
     prior : Residuals of these weights, with their derivatives; None for none.
+    decay : The weight decay in it.
     failure : Message of the last failed run.
     """
 
@@ -134,6 +137,7 @@ class Shooting:
         self.noise, self.slack, self.anchored = np.ones(len(scale)), 1.0, False
         self.trained = np.zeros(len(simulator.weights), dtype=bool)
         self.prior: Callable[[Array], tuple[Array, Array]] | None = None
+        self.decay = 0.0
 
     def of(
         self, simulator: Adjustable, experiments: Sequence[Experiment] | None = None
@@ -142,7 +146,7 @@ class Shooting:
         states: Any = tuple(term.trained for term in self.simulator.terms)
         simulator = simulator.taught(states) if self.trained.any() else simulator
         other = Shooting(simulator, experiments or self.experiments, self.scale)
-        other.trained, other.prior = self.trained, self.prior
+        other.trained, other.prior, other.decay = self.trained, self.prior, self.decay
         return other
 
     @property
@@ -319,6 +323,12 @@ class Shooting:
             weights = self.simulator.weights.copy()
             weights[self.trained] = unknowns[len(self.names) : self.common]
             self.simulator = self.simulator.weighted(weights)
+
+    def undecayed(self, normal: Array) -> Array:
+        """Return a normal matrix without the weight decay, which knows nothing of the system."""
+        told, of = normal.copy(), np.arange(len(self.names), self.common)
+        told[of, of] -= (1 - _REGULAR) * self.decay
+        return told
 
     def information(self, normal: Array) -> Array:
         """Return the normal matrix of the parameters with all other unknowns optimal."""
