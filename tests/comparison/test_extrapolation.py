@@ -66,7 +66,7 @@ def test_commands_warn_of_inputs_beyond_training(
     record(force).to_csv("record.csv", index=False)
     record(force)[:TRAIN].to_csv("past.csv", index=False)
     record(force)[TRAIN:].to_csv("future.csv", index=False)
-    said = "input force is beyond its range in training"
+    said = "nput force is beyond its range in training"
     quick = "--epochs 1 --window 30 --warmup 10"
     ahead = "--future-inputs future.csv --steps 40"
     few = "--seeds 1 --jobs 1 --methods gru,mean"
