@@ -131,6 +131,30 @@ def test_a_mode_that_swings_on_is_simulated_until_it_has_settled() -> None:
     np.testing.assert_allclose(abs(gains[:, 0, 0]), abs(expected), rtol=0.01)
 
 
+class RunningAway(sb.Forecaster):
+    """A network that is unstable, as the pole of its linear part says: 1.1."""
+
+    name = "running away"
+    needs = frozenset({"inputs"})
+
+    def learn(self, records: Any, **_: Any) -> None:
+        self.fitted = self.require_fitted().reporting(growth=1.1)
+
+    def extrapolate(self, known: ForecastContext) -> Any:
+        with np.errstate(over="ignore"):
+            return scipy.signal.lfilter([0.0, 1.0], [1.0, -1.1], known.u, axis=0)[len(known.y) :]
+
+
+def test_the_response_of_a_network_that_runs_away_ends_before_it_is_not_finite() -> None:
+    u = np.random.default_rng(0).standard_normal(100)
+    model = RunningAway().fit(sb.Record(u, DT, u=u))
+    found = sb.step_responses(model, 8000)
+    n = np.arange(len(found.y))
+    assert 40 < len(n) < 60
+    np.testing.assert_allclose(found.y[:, 0, 0], (1.1**n - 1) / 0.1)
+    assert len(sb.step_responses(model, 200).y) == 200
+
+
 def test_an_input_that_never_moved_and_a_point_that_fails_are_left_out_and_said() -> None:
     u = np.stack([np.full(200, 3.0), np.linspace(0, 4, 200)], axis=1)
     model = Rooted().fit(sb.Record(u[:, 1], DT, u=u))

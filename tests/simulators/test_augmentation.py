@@ -8,6 +8,7 @@ import pytest
 
 import splitband as sb
 from splitband.simulators import Effort, identify
+from splitband.simulators.shooting import Shooting
 
 pytestmark = pytest.mark.usefixtures("compiled_soon")
 
@@ -53,6 +54,19 @@ def test_a_friction_is_found_with_the_inertia() -> None:
     (term,) = ode.taught(found.terms).terms
     np.testing.assert_allclose(term.value(z), friction(z), atol=0.1)
     assert state.low < low < high < state.high
+
+
+def test_the_weight_decay_does_not_make_parameters_more_certain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It holds the term back, which is no knowledge of the friction."""
+    term = sb.Unknown(lambda x, u: [x[0]], hidden=4, odd=True)
+    ode = sb.Ode(rubbing, [0.0], parameters={"inertia": (0.1, 2.0)}, unknown=term)
+    found = identify(ode, drive(), effort=Effort(1))
+    monkeypatch.setattr(Shooting, "undecayed", lambda self, normal: normal)
+    counted = identify(ode, drive(), effort=Effort(1))
+    assert found.values == counted.values
+    assert found.errors["inertia"] > 1.03 * counted.errors["inertia"]
 
 
 def test_a_parameter_that_a_term_could_replace_takes_what_it_can() -> None:

@@ -159,10 +159,7 @@ def step_responses(
         For a forecaster without inputs, and one that needs a simulator's output from a record.
     """
     fitted = forecaster.require_fitted()
-    record, steps, report = fitted.record, whole("steps", steps), fitted.report
-    growth = 1.0 if report.reach is None else report.growth
-    if growth > 1:
-        steps = min(steps, max(int(np.log(GROWN) / np.log(growth)), 2))
+    record, steps, growth = fitted.record, whole("steps", steps), fitted.report.growth
     if fitted.u_summary is None:
         raise InputError(f"{forecaster.name} must have inputs to respond to, it has none")
     if "simulator" in forecaster.needs:
@@ -201,9 +198,14 @@ def step_responses(
             responses[:, :, k] = (up - down) / sizes[i]
         return responses
 
-    y = settled = longer = simulated(steps)
-    system = forecaster.system_matrices()
-    while system is None and growth <= 1 and not _settled(settled) and np.isfinite(longer).all():
+    few = steps if growth <= 1 else min(steps, max(int(np.log(GROWN) / np.log(growth)), 2))
+    stable = of_stable_plant(forecaster)
+    y = simulated(steps if stable else few)
+    if few < len(y) and not np.isfinite(y).all():  # a network that is unstable after all
+        y = simulated(few)
+    settled, longer, system = y, y, forecaster.system_matrices()
+    whole_run = system is None and stable and len(y) == steps
+    while whole_run and not _settled(settled) and np.isfinite(longer).all():
         settled = longer
         if len(longer) >= LONGEST * steps:
             break
@@ -214,6 +216,11 @@ def step_responses(
     inputs = tuple(record.inputs[i] for i in of)
     step, columns = record.sampling_time, record.columns
     return Responses(y, step, columns, inputs, held[of], sizes[of], settled, system)
+
+
+def of_stable_plant(forecaster: Forecaster) -> bool:
+    """Return whether responses settle, or integrate, as far as is known; see `FitReport.reach`."""
+    return forecaster.require_fitted().report.reach is None
 
 
 def respond_over_range(forecaster: Forecaster) -> list[Responses]:
@@ -239,7 +246,7 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     remarks = (
         [f"In training {', '.join(still)} never moved: the effect is unknown."] if still else []
     )
-    stable = forecaster.require_fitted().report.reach is None
+    stable = of_stable_plant(forecaster)
     if not stable:
         remarks.append(
             "The model is unstable: its responses grow without bound, and have no static gain."

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from splitband.checks import model as checks
-from splitband.checks.responses import respond_over_range
+from splitband.checks.responses import of_stable_plant, respond_over_range
 from splitband.cli import options, printing, records
 from splitband.cli.usage import checking, command_of
 from splitband.forecasters.loading import load
@@ -83,7 +83,6 @@ def check(
         printing.console.print(str(each.check))
         for remark in each.responses[0].remarks if each.responses else ():
             printing.warn(remark)
-        stable = each.model.require_fitted().report.reach is None
-        for gains in tables.of_gains(each.responses) if stable else ():
+        for gains in tables.of_gains(each.responses) if of_stable_plant(each.model) else ():
             printing.table(gains)
     printing.results_of(out)

@@ -15,7 +15,7 @@ import pandas as pd
 
 from splitband.checks.inspection import Inspection
 from splitband.checks.model import ModelCheck
-from splitband.checks.responses import Responses
+from splitband.checks.responses import Responses, of_stable_plant
 from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
 from splitband.comparison.running import RunningComparison
@@ -192,7 +192,7 @@ def save_check(checked: Mapping[str, Checked], facts: Facts, folder: Path, used:
 def _check_facts(check: ModelCheck, model: Forecaster, responses: Sequence[Responses]) -> Facts:
     """Return what results.json says of a check of a model."""
     facts = check.as_json() | {"kind": model.in_words()}
-    if responses and model.require_fitted().report.reach is None:
+    if responses and of_stable_plant(model):
         first = responses[0]
         facts["static_gain"] = {
             column: dict(zip(first.inputs, map(_or_none, row), strict=True))

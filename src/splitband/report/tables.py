@@ -46,7 +46,7 @@ def of_comparison(comparison: Comparison) -> Table:
     more = f" The training part includes {others} more record(s), none held out." if others else ""
     title = (
         f"{_called(record)}: the training part has {train:,} samples"
-        + (ahead if after and _runs_free(comparison) else "")
+        + (ahead if after and _simulates(comparison) else "")
         + (tests if comparison.tests else "")
         + f". {what_was_known(comparison)}{truth}{_from_origins(comparison)}{more}"
     )
@@ -62,7 +62,7 @@ def of_comparison(comparison: Comparison) -> Table:
     return _ranked(Table(title, columns(comparison), rows, labels=called, details=details), trial)
 
 
-def _runs_free(comparison: Comparison) -> bool:
+def _simulates(comparison: Comparison) -> bool:
     """Return whether a free run tells anything: that of an unstable plant leaves the record."""
     return comparison.plan.ahead is None or comparison.plan.reach is None
 
@@ -204,7 +204,7 @@ def _errors(
     protocol: Protocol, measure: Callable[[Array, Array], Array], comparison: Comparison
 ) -> Iterator[Column]:
     """Yield the fits or errors of predictions, errors with their spread over the seeds."""
-    every = predicted(comparison) if _runs_free(comparison) else []
+    every = predicted(comparison) if _simulates(comparison) else []
     for i, shown in enumerate((runs for runs in every if runs.protocol == protocol), 1):
         values, spreads = {}, {}
         for name, median in shown.predictions.items():

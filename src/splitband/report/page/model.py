@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from splitband.checks.residuals import Correlation
-from splitband.checks.responses import SHARE, Responses
+from splitband.checks.responses import SHARE, Responses, of_stable_plant
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.linear import Linear
@@ -49,7 +49,7 @@ def responses(model: Forecaster, every: Sequence[Responses], bode: bool) -> list
 
     With `bode`, gain and phase follow, those at the mean.
     """
-    first, stable = every[0], model.require_fitted().report.reach is None
+    first, stable = every[0], of_stable_plant(model)
     frequencies, gains = first.frequency_response()
     looks = dict(zip((None, SHARE, 1 - SHARE), DASHES, strict=False))
     keys = [Key(f"inputs at {r.place}", "c0", looks[r.share]) for r in every]
