@@ -169,12 +169,6 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.fixture
-def compiled_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests that share an equation: it is compiled before many steps are taken without."""
-    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 500)
-
-
-@pytest.fixture
 def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of what a simulator's output is used for: functions of files run in this process.
 

@@ -65,7 +65,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def inside_rig(rig: Path, monkeypatch: pytest.MonkeyPatch, compiled_soon: None) -> None:
+def inside_rig(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(rig)
 
 

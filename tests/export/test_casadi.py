@@ -95,7 +95,6 @@ def test_large_networks_keep_their_matrices(name: str, monkeypatch: pytest.Monke
         np.testing.assert_allclose(flat(one), flat(other), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.usefixtures("compiled_soon")
 @pytest.mark.parametrize("hybrid", [False, True])
 def test_the_equation_of_a_grey_box_is_part_of_it(hybrid: bool) -> None:
     ode = EQUATIONS["inputs on straight lines"]()

@@ -20,8 +20,6 @@ from tests.export.test_onnx import session
 EXACT = 1e-11, 1e-13
 """Tolerances of a solver that is as exact as a program."""
 
-pytestmark = pytest.mark.usefixtures("compiled_soon")
-
 
 def stiffening(t: float, x: Any, u: Any, p: Any) -> list[Any]:
     return [x[1], p.k * (u[0] - x[0] - 0.3 * x[0] ** 3) - p.c * x[1]]
@@ -263,10 +261,8 @@ def test_flags_jumps_and_multiples_are_those_of_numpy(observe: Any, tmp_path: Pa
     ],
 )
 def test_what_cannot_be_written_is_told_with_its_line(
-    expression: Any, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    expression: Any, message: str, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10**9)  # that takes longer
-
     def rhs(t: float, x: Any, u: Any, p: Any) -> list[Any]:
         return [p.k * (u[0] - 0.1 * np.real(expression(x[0])) - x[0])]
 

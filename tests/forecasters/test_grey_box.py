@@ -16,8 +16,6 @@ from splitband.simulators.open_simulator import simulated
 
 DT, STEPS = 0.1, 80
 
-pytestmark = pytest.mark.usefixtures("compiled_soon")
-
 
 def lagging(t: float, x: Any, u: Any, p: Any) -> list[float]:
     return [x[1], p.k * (u[0] - x[0]) - p.c * x[1]]

@@ -13,10 +13,7 @@ from tests.streams import BANDS, SHORT, free, in_double
 
 TRAIN, SEEN, END = 150, 190, 240
 
-pytestmark = [
-    pytest.mark.usefixtures("compiled_soon"),
-    pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
 
 
 def stiffening(t: float, x: Any, u: Any, p: Any) -> list[float]:

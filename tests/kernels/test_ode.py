@@ -46,11 +46,18 @@ def test_it_agrees_with_scipy(held: bool) -> None:
     np.testing.assert_allclose(found[:-1], expected, atol=1e-7)
 
 
+def test_a_result_does_not_depend_on_what_its_process_solved_before() -> None:
+    """A network that is trained on the difference would be another one."""
+    solve, x0 = Solver(pendulum, 4), np.array([1.0, 0.0])
+    runs = [solve(P, x0, TIME, (INPUT, False), (NONE, 0.0), TIGHT)[0] for _ in range(200)]
+    np.testing.assert_array_equal(runs[0], runs[-1])
+
+
 def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Compiled code does not check indices."""
-    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 0)
+    monkeypatch.setattr("splitband.kernels.ode.WORTH_SAYING", 2 * len(TIME))
     table: list[Any] = [1.0, "text"]
     solve = Solver(partial(lambda of, t, x: [-float(str(x[0])) * of[0]], table), 2)
     found, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
@@ -60,11 +67,8 @@ def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
         np.testing.assert_allclose(each[:, 0], np.exp(-TIME), atol=1e-8)
 
 
-def test_compiled_code_follows_the_values_that_it_refers_to(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_compiled_code_follows_the_values_that_it_refers_to() -> None:
     """In the notebook, in a module, and in a table, which changes in place."""
-    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
     rig, table = ModuleType("rig"), np.array([1.0])
     cell: dict[str, Any] = {"__name__": "cell", "rig": rig, "G": 1.0, "table": table}
     rig.H = 1.0  # type: ignore[attr-defined]
@@ -91,9 +95,8 @@ def test_compiled_code_follows_the_values_that_it_refers_to(
     assert solve.compiled is compiled
 
 
-def test_a_hard_saturation_of_a_number_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hard_saturation_of_a_number_is_compiled() -> None:
     """Numba's own np.clip takes arrays alone; in Python such an equation takes 100 times longer."""
-    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
     solve = Solver(lambda t, x, u, p: [float(np.clip(p.k * (u[0] - x[0]), -1, 1.0))], 4)
     p, x0, u = parameters_class(("k",))(2.0), np.array([3.0]), np.zeros((len(TIME), 1))
     for _ in range(2):  # at the limit until x = 1/2

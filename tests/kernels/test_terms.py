@@ -124,12 +124,15 @@ def test_a_term_begins_at_zero_or_within_its_bounds() -> None:
     assert np.abs(steady.value(Z)).max() < 0.5
 
 
+def _nothing(*_: Any) -> None:
+    """Compile nothing."""
+
+
 def rhs(t: float, x: Any, u: Any, p: Any, w: Any) -> list[float]:
     return [x[1], u[0] - p.k * x[0] - w[1] - 0.1 * w[0]]
 
 
 def test_the_equation_is_compiled_with_its_terms(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
     of = (None, lambda x, u: [x[1]])
     friction = sb.Unknown(of[1], odd=True)
     state = friction.begun(np.linspace(-1, 1, 50)[:, None])
@@ -138,8 +141,10 @@ def test_the_equation_is_compiled_with_its_terms(monkeypatch: pytest.MonkeyPatch
     solve, p = Solver(rhs, 5, of), (parameters_class(("k",))(4.0), packed(terms))
     time = 0.05 * np.arange(200.0)
     rest = np.array([1.0, 0.0]), time, (np.sin(3 * time)[:, None], False)
-    plain, fast = (solve(p, *rest, (np.empty(0), 0.0), (1e-9, 1e-9)) for _ in range(2))
+    fast = solve(p, *rest, (np.empty(0), 0.0), (1e-9, 1e-9))
     assert solve.compiled
+    monkeypatch.setattr(Solver, "_compile", _nothing)
+    plain = Solver(rhs, 5, of)(p, *rest, (np.empty(0), 0.0), (1e-9, 1e-9))
     np.testing.assert_allclose(fast[0], plain[0], atol=1e-11)
 
     def slope(t: float, x: Array) -> list[float]:
@@ -166,10 +171,9 @@ def test_another_number_of_quantities_is_refused() -> None:
 
 def test_derivatives_go_through_the_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the parameters, the initial state and the weights, beside differences of solutions."""
-    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
     of = Chosen((0, 2)), Chosen((1, 0))
     terms = [term(hidden=3), term(1, odd=True, hidden=2)]
-    solve, time = Solver(rhs, 5, of), 0.05 * np.arange(40.0)
+    time = 0.05 * np.arange(40.0)
     inputs, tight = (np.sin(3 * time)[:, None], False), (1e-11, 1e-11)
     kind, begin, packed_terms = parameters_class(("k",)), np.array([1.0, 0.0]), packed(terms)
 
@@ -179,11 +183,13 @@ def test_derivatives_go_through_the_steps(monkeypatch: pytest.MonkeyPatch) -> No
         return solve(p, begin + change[1:3], time, inputs, (np.empty(0), 0.0), tight)[0]
 
     given = (kind(4.0), packed_terms), begin, time, inputs, (np.array([1.0]), np.array([0])), tight
-    for _ in range(2):  # in Python, and compiled
+    for compile_it in (Solver._compile, _nothing):
+        monkeypatch.setattr(Solver, "_compile", compile_it)
+        solve = Solver(rhs, 5, of)
         x, dx, steps, apart = solve.derivatives(*given)
         np.testing.assert_allclose(x, states(np.zeros(dx.shape[2])), atol=1e-10)
         for d, unit in enumerate(np.eye(dx.shape[2])):
             expected = (states(1e-4 * unit) - states(-1e-4 * unit)) / 2e-4
             np.testing.assert_allclose(dx[..., d], expected, atol=2e-6 * np.abs(dx).max())
         np.testing.assert_allclose(dx @ steps, apart, atol=1e-3 * np.abs(apart).max())
-    assert solve.compiled
+        assert bool(solve.compiled) == (compile_it is not _nothing)

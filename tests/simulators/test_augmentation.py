@@ -10,8 +10,6 @@ import splitband as sb
 from splitband.simulators import Effort, identify
 from splitband.simulators.shooting import Shooting
 
-pytestmark = pytest.mark.usefixtures("compiled_soon")
-
 
 @pytest.fixture(autouse=True)
 def few_trainings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,6 @@ from splitband.simulators.parameters import Parameters
 
 Array = npt.NDArray[np.float64]
 
-pytestmark = pytest.mark.usefixtures("compiled_soon")
 
 DT = 0.1
 FEW = Effort(starts=4)

@@ -2,6 +2,8 @@
 
 import math
 from dataclasses import replace
+from multiprocessing.reduction import ForkingPickler
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
+from splitband.simulators.isolation import adjustable_from
 
 Array = npt.NDArray[np.float64]
 TIME: Array = 0.02 * np.arange(300.0)
@@ -89,9 +92,6 @@ def test_other_states_of_terms_replace_them() -> None:
     taught = ode.taught([other.trained])
     found = simulated(taught)
     np.testing.assert_array_equal(found, simulated(rig(unknown=other)))
-    opened = rig().opened_by(lambda _: rig()).taught([other.trained])
-    again, arguments = opened.__reduce_ex__(4)  # as another process makes it
-    np.testing.assert_array_equal(simulated(again(*arguments)), found)
     with pytest.raises(
         sb.InputError, match=r"unknown must have 2 term\(s\), as in training, got 1"
     ):
@@ -117,9 +117,33 @@ def test_quantities_have_names_of_states_and_of_a_record() -> None:
 def test_an_equation_can_be_had_without_its_terms() -> None:
     free = simulated(rig(unknown=sb.Unknown(speed)).without_terms())
     np.testing.assert_array_equal(simulated(rig().without_terms()), free)
-    opened = rig().opened_by(lambda _: rig()).without_terms()
-    again, arguments = opened.__reduce_ex__(4)
-    np.testing.assert_array_equal(simulated(again(*arguments)), free)
+
+
+def test_other_processes_get_an_equation_of_a_file_as_it_was_changed(tmp_path: Path) -> None:
+    """They open the file once more, whose functions no module has."""
+    file = tmp_path / "plant.py"
+    file.write_text(
+        "import splitband as sb\n"
+        "rhs = lambda t, x, u, p, w: [x[1], u[0] - p.k * x[0] - w[0]]\n"
+        "term = sb.Unknown(lambda x, u: [x[1]], odd=True)\n"
+        "plant = sb.Ode(rhs, [0.5, 0.0], parameters={'k': (1.0, 9.0)}, unknown=term)\n"
+    )
+    state: Any = trained(sb.Unknown(speed, odd=True)).trained
+    opened: Any = adjustable_from(str(file), "plant", {})
+    taught = opened.matched(["angle"], ["F"]).taught([state])
+    for changed in (
+        taught.fixed({"k": 2.0}),
+        taught.coarse(),
+        taught.coarse().precise(),
+        taught.otherwise(),
+        taught.weighted(2 * taught.weights),
+        taught.without_terms(),
+    ):
+        again: Any = changed
+        for _ in range(2):
+            again = ForkingPickler.loads(ForkingPickler.dumps(again))
+        assert (again.tolerances, again.hold) == (changed.tolerances, changed.hold)
+        np.testing.assert_array_equal(simulated(again), simulated(changed))
 
 
 def test_wrong_terms_are_refused() -> None:

@@ -38,8 +38,8 @@ STEP = 1e-6
 """Step of the differences of a right-hand side, as a share of a state or a range. Rounding."""
 SHORTEST = 1e-12
 """Shortest step, as a share of the interval between two samples. Rounding."""
-WORTH_COMPILING = 30_000
-"""Steps after which an equation is compiled, for about the time of compiling it."""
+WORTH_SAYING = 30_000
+"""Steps in Python after which it is said that an equation could not be compiled. By eye."""
 _OPTIONS: Any = {"error_model": "numpy"}
 NODES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
 """Nodes of Dormand and Prince's stages."""
@@ -303,7 +303,10 @@ def compiled() -> Any:
 
 
 class Solver:
-    """The solver of an equation, compiled with Numba after many steps, if possible.
+    """The solver of an equation, compiled with Numba if possible.
+
+    From the first call on: compiled code rounds otherwise, so a result would depend on what else
+    its process had solved before.
 
     Parameters
     ----------
@@ -315,7 +318,7 @@ class Solver:
     def __init__(self, rhs: Rhs, arguments: int, of: Sequence[Rhs | None] = ()) -> None:
         self.rhs, self.arguments, self.of = rhs, arguments, of
         self.compiled: dict[Any, Any] = {}
-        self.taken, self.tried = 0, False
+        self.taken, self.tried, self.reason = 0, False, ""
         self.kept: list[Any] = []
 
     def __call__(
@@ -336,8 +339,8 @@ class Solver:
         p, kind = np.array(named, dtype=float), type(named)
         with np.errstate(all="ignore"):
             if self.tried and self.kept != self._referred():
-                self.compiled, self.taken, self.tried = {}, 0, False
-            if self.taken > WORTH_COMPILING and not self.tried:
+                self.compiled, self.tried = {}, False
+            if not self.tried:
                 self._compile(kind, p, terms, given)
             if (fast := self.compiled.get(kind)) is None and self.compiled:
                 fast = self.compiled[kind] = self._functions(kind, len(p), fast=True)
@@ -345,7 +348,8 @@ class Solver:
             solution: tuple[Array, Array, float, Array] = function(
                 *(fast or self._functions(kind, len(p))), p, terms, *given
             )
-        self.taken += len(solution[1]) * (5 if moves[0] else 1)
+        if self.reason:
+            self._count(len(solution[1]) * (5 if moves[0] else 1))
         return solution
 
     def derivatives(
@@ -402,29 +406,34 @@ class Solver:
 
     def _compile(self, kind: Any, p: Array, terms: Any, given: Any) -> None:
         """Use compiled code, without checks of indices, if it agrees on a short simulation."""
-        self.tried, self.kept = True, self._referred()
         initial, time, (u, held), *_, tolerances = given
         few = time[:3], (u[:3], held), (np.empty(0), 0.0), _UNMOVED
         probe: Any = (p, terms, initial, *few, tolerances)
         expected = solve(*self._functions(kind, len(p)), *probe)[0]
+        self.tried, self.kept, self.reason = True, self._referred(), ""
         try:
             fast = self._functions(kind, len(p), fast=True)
             states = compiled()(*fast, *probe)[0]
         except Exception as error:  # code without support in Numba
             lines = [line for line in str(error).splitlines() if not line.startswith("Failed in")]
-            reason = next(iter(lines), "") or type(error).__name__
+            self.reason = next(iter(lines), "") or type(error).__name__
         else:
             if np.allclose(states, expected, rtol=1e-6, equal_nan=True):
                 self.compiled[kind] = fast
-                return
-            reason = "compiled, it gives other numbers"
-        name = getattr(self.rhs, "__name__", type(self.rhs).__name__)
-        warnings.warn(
-            f"the equation {name} is solved in Python, many times "
-            f"slower than compiled: Numba cannot compile it ({reason.strip(' .:')}); write it with "
-            'numbers, p.k in place of p["k"], and other functions of NumPy or math',
-            stacklevel=2,
-        )
+            else:
+                self.reason = "compiled, it gives other numbers"
+
+    def _count(self, steps: int) -> None:
+        """Count steps that are taken in Python, and say so once they are many."""
+        few, self.taken = self.taken <= WORTH_SAYING, self.taken + steps
+        if few and self.taken > WORTH_SAYING:
+            name = getattr(self.rhs, "__name__", type(self.rhs).__name__)
+            warnings.warn(
+                f"the equation {name} is solved in Python, many times slower than compiled: Numba "
+                f"cannot compile it ({self.reason.strip(' .:')}); write it with numbers, p.k in "
+                'place of p["k"], and other functions of NumPy or math',
+                stacklevel=3,
+            )
 
     def _referred(self) -> list[Any]:
         """Return the present values of the names in all functions."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from inspect import Signature
-from operator import methodcaller
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -41,12 +40,12 @@ times too small."""
 class UserCode(Adjustable):
     """The base of dataclasses with user code.
 
-    Functions from a user's file cannot be pickled: other processes recreate the simulator by a
-    function of the parameters, set by `opened_by`.
+    Functions from a user's file cannot be pickled: other processes open the simulator once more, by
+    a function of the parameters that `opened_by` sets, and change it as it was changed here.
     """
 
     survives = True  # apart from crashes of compiled code
-    _opened_by: Callable[[Given], Any] | None = None
+    _opened: tuple[Callable[[Given], Any], Any] | None = None
     _set_apart: ClassVar[tuple[str, ...]] = ()
     """Prefixes of parameters that are no arguments of the functions."""
 
@@ -88,20 +87,24 @@ class UserCode(Adjustable):
             )
 
     def _with(self, **changes: Any) -> Self:
-        """Return a copy with changed fields, recreated in other processes as before."""
+        """Return a copy with changed fields, recreated in other processes with them."""
         made = replace(self, **changes)  # type: ignore[type-var]
-        return made.opened_by(self._opened_by)
+        vars(made)["_opened"] = self._opened
+        return made
 
-    def opened_by(self, function: Callable[[Given], Self] | None) -> Self:
+    def opened_by(self, function: Callable[[Given], UserCode]) -> Self:
         """Set the function of the parameters for other processes; return the simulator."""
-        vars(self)["_opened_by"] = function
+        vars(self)["_opened"] = function, self
         return self
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Return the reduction for other processes."""
-        if self._opened_by is None:
+        """Return the reduction for other processes: what has changed since it was opened."""
+        if self._opened is None:
             return super().__reduce_ex__(protocol)
-        return self._opened_by, (dict(self.parameters or {}),)
+        function, first = self._opened
+        terms = [_changes(*pair) for pair in zip(self.terms, first.terms, strict=True)]
+        parameters = dict(self.parameters or {})
+        return _reopened, (function, parameters, _changes(self, first), terms)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -270,7 +273,7 @@ class Ode(UserCode):
     def without_terms(self) -> Self:
         """Return a copy with unknown terms that stay as before training."""
         terms = tuple(term.without() for term in self.terms)
-        return self._changed(methodcaller("without_terms"), unknown=terms) if terms else self
+        return self._with(unknown=terms) if terms else self
 
     def taught(self, trained: Sequence[Trained]) -> Self:
         """Return a copy whose terms have these states, in their order; itself for none.
@@ -285,7 +288,7 @@ class Ode(UserCode):
             )
         pairs = zip(self.terms, trained, strict=True)
         terms = tuple(replace(term, trained=state) for term, state in pairs)
-        return self._changed(methodcaller("taught", tuple(trained)), unknown=terms)
+        return self._with(unknown=terms)
 
     @property
     def weights(self) -> Array:
@@ -329,13 +332,7 @@ class Ode(UserCode):
             named = () if self.observe else columns
             resolved = (term.resolved(self.states, named, inputs) for term in self.terms)
             changes["unknown"] = tuple(resolved)
-        again = methodcaller("matched", [*columns], [*inputs])
-        return self._changed(again, **changes) if changes else self
-
-    def _changed(self, again: Callable[[Any], Any], **changes: Any) -> Self:
-        """Return a copy with changed fields; other processes reopen it and call `again` with it."""
-        opened: Any = self._opened_by and partial(_reopened, self._opened_by, again)
-        return self._with(**changes).opened_by(opened)
+        return self._with(**changes) if changes else self
 
     def coarse(self) -> Self:
         """Return a copy with fewer steps; derivatives along them are exact at any tolerance."""
@@ -532,11 +529,21 @@ def _channels(values: Any) -> Array:
     return y[:, None] if y.ndim == 1 else y
 
 
+def _changes(now: Any, first: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass that are others than in `first`; parameters go apart."""
+    names = {each.name for each in fields(now)} - {"parameters", "unknown"}
+    now, first = vars(now), vars(first)
+    return {name: now[name] for name in sorted(names) if now[name] is not first[name]}
+
+
 def _reopened(
-    opened: Callable[[Given], Ode], change: Callable[[Ode], Ode], parameters: Given
-) -> Ode:
-    """Return an equation of a user's file in another process, changed as the first one was."""
-    return change(opened(parameters))
+    function: Callable[[Given], Any], parameters: Given, changes: Any, of_terms: Sequence[Any]
+) -> Any:
+    """Return a simulator of a user's file in another process, changed as the first one was."""
+    opened = function(parameters)
+    pairs = zip(opened.terms, of_terms, strict=True)
+    terms = tuple(replace(term, **changed) for term, changed in pairs)
+    return opened._with(**changes, **({"unknown": terms} if terms else {}))
 
 
 def _first_states(count: int, x: Array) -> Array:
