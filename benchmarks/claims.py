@@ -79,9 +79,12 @@ def _is_text(node: Any) -> bool:
 
 
 @cache
-def equal(path: Path = EQUAL, rooms: Sequence[str] = ROOMS) -> frozenset[str]:
-    """Return the hashes of the sources that are known to compute what today's do."""
-    pairs = [{*row["sources"]} for row in read(path)]
+def equal(
+    path: Path = EQUAL, rooms: Sequence[str] = ROOMS, record: str | None = None
+) -> frozenset[str]:
+    """Return the hashes of the sources that are known to compute what today's do, of a record."""
+    alike = [row for row in read(path) if record not in row.get("others", [])]
+    pairs = [{*row["sources"]} for row in alike if record or "others" not in row]
     found = {sources(rooms=rooms)}
     while more := {each for pair in pairs if pair & found for each in pair} - found:
         found |= more
@@ -91,7 +94,7 @@ def equal(path: Path = EQUAL, rooms: Sequence[str] = ROOMS) -> frozenset[str]:
 def current(row: Row) -> bool:
     """Return whether a run is of today's sources, or of equal ones."""
     rooms = tuple(row.get("rooms", ROOMS))
-    return row.get("sources") in equal(rooms=rooms)
+    return row.get("sources") in equal(rooms=rooms, record=row.get("record"))
 
 
 def sign(rows: Iterable[Row]) -> str:

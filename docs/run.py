@@ -200,6 +200,10 @@ def main() -> None:
     parser.add_argument("pages", nargs="*", type=Path, help="all, where none is named")
     parser.add_argument("--check", action="store_true", help="write nothing; fail if one differs")
     given = parser.parse_args()
+    if absent := [path for path in given.pages if not path.is_file()]:
+        parser.error(
+            f"pages must be paths of files, such as docs/howto/validation.md, got {absent[0]}"
+        )
     status = 0
     for path in given.pages or sorted(DOCS.rglob("*.md")):
         if "<!--=output-->" not in path.read_text(encoding="utf-8"):
