@@ -110,7 +110,7 @@ def test_unknown_terms_of_an_equation_stand_beside_it_and_beside_hybrids() -> No
     outside = methods["residual-grey-box-state-space-conditioned"].base.simulator
     assert not any(term.free for term in outside.terms)
     sent = pickle.loads(pickle.dumps(methods["grey-box"])).simulator
-    assert repr(sent.unknown) == repr(methods["grey-box"].simulator.unknown)
+    assert repr(sent.terms) == repr(methods["grey-box"].simulator.terms)
 
 
 def test_a_saved_grey_box_simulates_with_its_values(
