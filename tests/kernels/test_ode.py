@@ -57,6 +57,16 @@ def test_a_result_does_not_depend_on_what_its_process_solved_before() -> None:
     np.testing.assert_array_equal(runs[0], runs[-1])
 
 
+def test_an_index_outside_a_table_is_an_error_in_compiled_code_too() -> None:
+    """It is reached only once the state has grown."""
+    table = np.array([1.0, 2.0, 3.0])
+    solve = Solver(lambda t, x, u, p: [p.k * table[int(x[0])]], 4)
+    p, u = parameters_class(("k",))(1.0), np.zeros((len(TIME), 1))
+    with pytest.raises(IndexError, match="out of bounds"):
+        solve(p, np.array([0.5]), TIME, (u, False), (NONE, 0.0), TIGHT)
+    assert solve.compiled
+
+
 def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

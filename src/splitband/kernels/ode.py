@@ -40,7 +40,7 @@ SHORTEST = 1e-12
 """Shortest step, as a share of the interval between two samples. Rounding."""
 WORTH_SAYING = 30_000
 """Steps in Python after which it is said that an equation could not be compiled. By eye."""
-_OPTIONS: Any = {"error_model": "numpy"}
+_OPTIONS: Any = {"error_model": "numpy", "boundscheck": True}
 NODES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
 """Nodes of Dormand and Prince's stages."""
 WEIGHTS = np.zeros((7, 7))
@@ -405,7 +405,7 @@ class Solver:
         return njit(_RHS, **_OPTIONS)(flat), _pointer(gathered(self.of, made))
 
     def _compile(self, kind: Any, p: Array, terms: Any, given: Any) -> None:
-        """Use compiled code, without checks of indices, if it agrees on a short simulation."""
+        """Use compiled code if it agrees on a short simulation."""
         initial, time, (u, held), *_, tolerances = given
         few = time[:3], (u[:3], held), (np.empty(0), 0.0), _UNMOVED
         probe: Any = (p, terms, initial, *few, tolerances)
