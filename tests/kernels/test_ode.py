@@ -70,7 +70,7 @@ def test_an_index_outside_a_table_is_an_error_in_compiled_code_too() -> None:
 def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Compiled code does not check indices."""
+    """It is solved in Python, and after many steps it says so."""
     monkeypatch.setattr("splitband.kernels.ode.WORTH_SAYING", 2 * len(TIME))
     table: list[Any] = [1.0, "text"]
     solve = Solver(partial(lambda of, t, x: [-float(str(x[0])) * of[0]], table), 2)

@@ -444,7 +444,7 @@ class Solver:
 def solver(rhs: Rhs, arguments: int, of: tuple[Rhs | None, ...] = (), outputs: int = 0) -> Solver:
     """Return the common solver of an equation whose terms have so many outputs.
 
-    Compiled code does not check indices: another number of outputs is run in Python first.
+    Each number of outputs has its own, as a solver tries an equation in Python but once.
     """
     return Solver(rhs, arguments, of)
 
