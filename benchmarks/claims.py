@@ -85,10 +85,16 @@ def equal(
     """Return the hashes of the sources that are known to compute what today's do, of a record."""
     alike = [row for row in read(path) if record not in row.get("others", [])]
     pairs = [{*row["sources"]} for row in alike if record or "others" not in row]
-    found = {sources(rooms=rooms)}
+    found = {_read_once(rooms)}
     while more := {each for pair in pairs if pair & found for each in pair} - found:
         found |= more
     return frozenset(found)
+
+
+@cache
+def _read_once(rooms: Sequence[str]) -> str:
+    """Return the hash of today's sources, which take half a second to read."""
+    return sources(rooms=rooms)
 
 
 def current(row: Row) -> bool:

@@ -1,6 +1,7 @@
 """The commands that the page shows are those of the options given, and can be pasted."""
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,17 @@ def test_the_check_of_the_page_reads_the_test_record_as_it_was_read() -> None:
     (checked,) = [command for _, command in commands if " check " in command]
     words = " ".join(said(checked))
     assert "--gaps mask --time-column when --missing Bad,-9 --skip-rows 2" in words
+
+
+def test_the_check_of_a_hybrid_runs_the_simulator_or_asks_for_its_output() -> None:
+    """A simulator that the inputs drive runs for any record; recorded output is of one of them."""
+    given = {**GIVEN, "simulator": "rig.fmu", "simulator_columns": "y"}
+    plan = planned(1)
+    for y_sim, simulator in ((np.zeros((200, 1)), "rig.fmu"), (None, "FILE")):
+        tested = replace(plan, tests=(replace(plan.record, y_sim=y_sim),))
+        commands = dict(usage("compare", given, OUT, tested, named("filtered-gru")).commands)
+        words = " ".join(said(commands["Check it on the test record"]))
+        assert f"--simulator {simulator} --simulator-columns y --record later.csv" in words
 
 
 def test_rounds_of_a_search_are_left_out_for_a_method_that_is_not_trained() -> None:

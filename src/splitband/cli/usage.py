@@ -93,9 +93,12 @@ def usage(
         if model.name in TRAINED or not ("simulator" in model.needs or model.parameters):
             export = f"splitband export {quoted(str(out / MODEL_FOLDER))} model.fmu"
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
-    if given.get("test") and "simulator" not in model.needs:
-        beside = _SIMULATOR if model.parameters else []
+    if given.get("test"):
+        runs = "simulator" in model.needs
+        beside = _SIMULATOR if runs or model.parameters else []
         reading = {name: given.get(name) for name in ("gaps", *_FILES, *beside)}
+        if runs and plan.tests[0].y_sim is None:  # a file with its output is of one record
+            reading["simulator"] = "FILE"
         asked_of = {"model_dirs": [out / MODEL_FOLDER], "record": given["test"][0]}
         checked = checking(reading | asked_of)
         commands.append(("Check it on the test record", checked))
