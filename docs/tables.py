@@ -415,7 +415,7 @@ def readme_benchmarks() -> str:
         ("tanks5", 0, "cascaded tanks, from 5 samples", 1, " V", others_of("tanks5", 0)),
         ("silverbox", 0, "Silverbox, multisine", 1000, " mV", others_of("silverbox", 0)),
         ("silverbox", 1, "Silverbox, arrow", 1000, " mV", others_of("silverbox", 1)),
-        ("drill string", 0, "drill string", 1, "", f"its simulator {simulator:.3f}"),
+        ("drill string", 0, "drill string, normalised", 1, "", f"its simulator {simulator:.3f}"),
     ):
         of = [scale * row["errors"][test] for row in rows.get((name, 120.0, 0), [])]
         if len(of) >= SEEDS:

@@ -127,7 +127,9 @@ def test_the_readme_shows_a_record_once_five_seeds_are_of_todays_code(
     text = tables.readme_benchmarks()
     assert "| 0.220 V | 0.200 to 0.240 |" in text
     assert "0.900" not in text
-    assert text.endswith("`make claims`: Silverbox, multisine; Silverbox, arrow; drill string.")
+    assert text.endswith(
+        "`make claims`: Silverbox, multisine; Silverbox, arrow; drill string, normalised."
+    )
     monkeypatch.setattr(claims, "read", lambda path: old)
     assert "|" not in tables.readme_benchmarks()
 

@@ -101,6 +101,14 @@ def test_names_decide_where_nothing_else_does() -> None:
     assert said.startswith("perhaps inputs")
 
 
+def test_text_that_does_not_act_is_no_input() -> None:
+    valve = np.random.default_rng(3).random(N)
+    columns = {"valve": valve, "level": lag(0.9, valve, 1), "Shift name": [*"ab"] * (N // 2)}
+    with pytest.warns(ReadingWarning, match="left out: 'Shift name' .no numbers"):
+        found = inspected(**columns)
+    assert [column.name for column in found.columns] == ["valve", "level"]
+
+
 def test_an_inspection_says_what_the_record_holds() -> None:
     rng = np.random.default_rng(3)
     valve = np.repeat(rng.integers(0, 2, N // 50), 50).astype(np.float64)

@@ -48,7 +48,9 @@ actuator actuation mv opening switch stimulus excitation disturbance ambient
 """
 OUTPUT_NAMES = "y out output pv response sensor measured measurement"
 LABEL_NAMES = "run test trial batch cycle experiment mode phase stage segment label"
-"""Words in the names of inputs, of outputs, and of what labels runs or samples. Convention."""
+TEXT_NAMES = "operator user shift comment remark note label run test trial batch experiment"
+"""Words in the names of inputs, of outputs, of what labels runs or samples, and of text that does
+not act on the system. Convention."""
 LAGS, SPACINGS = 12, (1, 4, 16, 64)
 """Past samples by column in ARX models, and their spacings in samples: slow effects show in none of
 a single sample. No choice on 39 drawn records depends on it."""
@@ -258,12 +260,14 @@ def inspect(
     return Inspection(record, columns, late, doubtful, peaks, train, bands, above, beside, said)
 
 
-def as_found(source: Source, inputs: Any = None, **how: Any) -> Any:
+def as_found(source: Source, columns: Any = None, inputs: Any = None, **how: Any) -> Any:
     """Read a record to inspect it: missing values are masked, uneven stamps put on an even grid.
 
-    Columns of words are inputs where none are named.
+    Columns of words are inputs where no columns are named.
     """
-    how |= {"inputs": holds_words if inputs is None else inputs, "gaps": "mask"}
+    if columns is None and inputs is None:
+        inputs = holds_words
+    how |= {"columns": columns, "inputs": inputs, "gaps": "mask"}
     try:
         return read(source, **how)
     except UnevenError:
@@ -271,9 +275,10 @@ def as_found(source: Source, inputs: Any = None, **how: Any) -> Any:
 
 
 def holds_words(column: Column) -> bool:
-    """Return whether a column of a table holds categories, each more than once."""
-    words = categories_of(column)
-    return bool(words) and 2 * len(words) < int(column.notna().sum())
+    """Return whether a column of a table holds categories, each more than once, that may act."""
+    words, called = categories_of(column), _words(str(column.name))
+    repeats = 2 * len(words) < int(column.notna().sum())
+    return bool(words) and repeats and not called & {*TEXT_NAMES.split()}
 
 
 def inspected_columns(record: Record) -> tuple[InspectedColumn, ...]:
