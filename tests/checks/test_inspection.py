@@ -10,7 +10,7 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband.checks.inspection import Inspection, of_unnamed, unnamed_inputs
+from splitband.checks.inspection import Inspection, as_found, of_unnamed, unnamed_inputs
 from splitband.records.signals import ReadingWarning
 from splitband.runtime.arrays import Array
 
@@ -103,10 +103,18 @@ def test_names_decide_where_nothing_else_does() -> None:
 
 def test_text_that_does_not_act_is_no_input() -> None:
     valve = np.random.default_rng(3).random(N)
-    columns = {"valve": valve, "level": lag(0.9, valve, 1), "Shift name": [*"ab"] * (N // 2)}
-    with pytest.warns(ReadingWarning, match="left out: 'Shift name' .no numbers"):
+    columns = {"valve": valve, "level": lag(0.9, valve, 1), "Operator name": [*"ab"] * (N // 2)}
+    with pytest.warns(ReadingWarning, match="left out: 'Operator name' .no numbers"):
         found = inspected(**columns)
     assert [column.name for column in found.columns] == ["valve", "level"]
+
+
+def test_words_are_offered_as_inputs_only_where_no_columns_are_named(tmp_path: Path) -> None:
+    rows = {"time": 0.1 * np.arange(N), "level": np.arange(N), "mode": [*"ab"] * (N // 2)}
+    pd.DataFrame(rows).to_csv(tmp_path / "rig.csv", index=False)
+    with pytest.warns(ReadingWarning):
+        assert as_found(tmp_path / "rig.csv").inputs == ("mode",)
+    assert as_found(tmp_path / "rig.csv", columns=["level"]).inputs == ()
 
 
 def test_an_inspection_says_what_the_record_holds() -> None:

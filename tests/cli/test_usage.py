@@ -61,9 +61,10 @@ def test_the_check_of_the_page_reads_the_test_record_as_it_was_read() -> None:
 
 def test_the_check_of_a_hybrid_runs_the_simulator_or_asks_for_its_output() -> None:
     """A simulator that the inputs drive runs for any record; recorded output is of one of them."""
-    given = {**GIVEN, "simulator": "rig.fmu", "simulator_columns": "y"}
-    plan = planned(1)
-    for y_sim, simulator in ((np.zeros((200, 1)), "rig.fmu"), (None, "FILE")):
+    plan, ran = planned(1), np.zeros((200, 1))
+    cases = (ran, None, "rig.fmu"), (None, None, "FILE"), (ran, ["later-sim.csv"], "later-sim.csv")
+    for y_sim, own, simulator in cases:
+        given = {**GIVEN, "simulator": "rig.fmu", "simulator_columns": "y", "test_simulator": own}
         tested = replace(plan, tests=(replace(plan.record, y_sim=y_sim),))
         commands = dict(usage("compare", given, OUT, tested, named("filtered-gru")).commands)
         words = " ".join(said(commands["Check it on the test record"]))

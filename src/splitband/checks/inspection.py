@@ -47,8 +47,9 @@ voltage pwm duty throttle pedal brake steer steering rudder elevator aileron ctr
 actuator actuation mv opening switch stimulus excitation disturbance ambient
 """
 OUTPUT_NAMES = "y out output pv response sensor measured measurement"
-LABEL_NAMES = "run test trial batch cycle experiment mode phase stage segment label"
-TEXT_NAMES = "operator user shift comment remark note label run test trial batch experiment"
+RUN_NAMES = "run test trial batch experiment label"
+LABEL_NAMES = f"{RUN_NAMES} cycle mode phase stage segment"
+TEXT_NAMES = f"{RUN_NAMES} operator user comment remark note"
 """Words in the names of inputs, of outputs, of what labels runs or samples, and of text that does
 not act on the system. Convention."""
 LAGS, SPACINGS = 12, (1, 4, 16, 64)

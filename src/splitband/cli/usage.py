@@ -97,7 +97,9 @@ def usage(
         runs = "simulator" in model.needs
         beside = _SIMULATOR if runs or model.parameters else []
         reading = {name: given.get(name) for name in ("gaps", *_FILES, *beside)}
-        if runs and plan.tests[0].y_sim is None:  # a file with its output is of one record
+        if runs and (own := given.get("test_simulator")):
+            reading["simulator"] = own[0]
+        elif runs and plan.tests[0].y_sim is None:  # a file with its output is of one record
             reading["simulator"] = "FILE"
         asked_of = {"model_dirs": [out / MODEL_FOLDER], "record": given["test"][0]}
         checked = checking(reading | asked_of)
