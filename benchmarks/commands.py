@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks import kinds
-from benchmarks.driven import drawn
+from benchmarks.driven import SYSTEMS, drawn
 from benchmarks.sets import SETS, load
 from splitband import Record
 
@@ -40,6 +41,13 @@ def wiener_hammerstein(folder: Path) -> list[str]:
     return _with_tests(record, tests, folder)
 
 
+def short(system: str, folder: Path) -> list[str]:
+    """Return the arguments for 400 samples of a drawn system, in deviations of its test record."""
+    record, test = drawn(system, 1000, 400)
+    scaled = (replace(each, y=each.y / test.y.std()) for each in (record, test))
+    return _with_tests(next(scaled), [*scaled], folder)
+
+
 def equation(folder: Path) -> list[str]:
     """Return the arguments for a pendulum with an equation that has parameters."""
     (folder / "plant.py").write_text(PENDULUM, encoding="utf-8")
@@ -48,6 +56,7 @@ def equation(folder: Path) -> list[str]:
     return alone(kinds.pendulum_with_friction, folder) + simulator
 
 
+SHORT = {f"{system}, 400 samples": system for system in SYSTEMS}
 RECORDS: dict[str, Callable[[Path], list[str]]] = {
     **{name: partial(public, name) for name in SETS},
     "tank, 400 samples": partial(alone, partial(kinds.one_tank, samples=400)),
@@ -61,6 +70,7 @@ RECORDS: dict[str, Callable[[Path], list[str]]] = {
     "crane": lambda _: ["overhead-crane"],
     "pendulum": equation,
     "Wiener-Hammerstein": wiener_hammerstein,
+    **{name: partial(short, system) for name, system in SHORT.items()},
 }
 
 

@@ -100,7 +100,7 @@ class Run:
             return look, None
 
         jax_sysid._model.lbfgs_callback = watched
-        model.loss(rho_x0=1e-8, rho_th=s.penalty)
+        model.loss(rho_x0=1e-8, rho_th=s.l2)
         model.optimization(
             adam_eta=1e-3, adam_epochs=s.adam, lbfgs_epochs=ENDLESS, iprint=-1, memory=20
         )

@@ -12,7 +12,7 @@ class Setting:
     Attributes
     ----------
     states, units : Of the model; as many units in f as in g.
-    penalty : `rho_th`.
+    l2 : `rho_th`.
     adam : Iterations of Adam before L-BFGS.
     linear : Samples that the linear model is fitted to.
     """

@@ -9,6 +9,7 @@ The results are those of `benchmarks.clock` and `benchmarks.against`.
 from __future__ import annotations
 
 import argparse
+import itertools
 import re
 import statistics
 from collections.abc import Iterable, Sequence
@@ -22,6 +23,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from benchmarks import against, claims, clock
 from benchmarks.claims import Row
+from benchmarks.commands import SHORT
 from benchmarks.sets import SETS, Benchmark
 from splitband.runtime.files import replacing
 
@@ -34,8 +36,16 @@ TABLES = {
     "benchmark-time": None,
 }
 """Tables by name, and their records; None for all records."""
-UNDER = "benchmark-against"
-"""What stands below the picture: where its runs were measured."""
+GRU_ALONE = {
+    "Bouc-Wen": 0.0804,
+    "Wiener-Hammerstein": 0.1045,
+    "motor": 0.4313,
+    "tank that overflows": 0.1149,
+    "Duffing": 0.0158,
+}
+"""Errors of a GRU that has the default's work to itself, at commit 8697b5f9 (`driven.json`)."""
+LONGEST = 120
+"""Seconds of the runs in the table below the picture."""
 
 Array = npt.NDArray[np.float64]
 Points = dict[str, list[against.Point]]
@@ -66,11 +76,54 @@ def table_of(name: str, out: Path = OUT) -> str:
     return _benchmark(SETS[record], [row for row in rows if row["record"] == record])
 
 
-def under_picture(out: Path = OUT) -> str:
-    """Return where the package's runs in the picture were measured, in Markdown."""
-    points = [point for of in _points(out).values() for point in of]
-    ours = [point for point in points if point["library"] == against.SPLITBAND]
-    return claims.note(ours).lstrip()
+def of_libraries(out: Path = OUT) -> str:
+    """Return the table of the picture's last errors, and where they were measured."""
+    lines, ours = [], []
+    for name, points in _points(out).items():
+        benchmark = SETS.get(name)
+        columns, scale = (benchmark.columns, benchmark.scale) if benchmark else (("test",), 1.0)
+        ours += [point for point in points if point["library"] == against.SPLITBAND]
+        for i, column in enumerate(columns):
+            about = f"{_title(name)}, {column}" + (f", {benchmark.unit}" if benchmark else "")
+            cells = [about]
+            for library in against.LIBRARIES:
+                last = _last([point for point in points if point["library"] == library])
+                mark = claims.sign(last) if library == against.SPLITBAND else ""
+                errors = spread((point["test_rmse"][i] for point in last), scale)
+                cells.append(f"{errors}{mark}, n = {len(last)}" if last else "")
+            lines.append(cells)
+    return table(["error after two minutes", *against.LIBRARIES], lines) + claims.note(ours)
+
+
+def _last(points: Iterable[against.Point]) -> list[against.Point]:
+    """Return the last point of each seed that was asked for, or came, within the time."""
+    found: dict[int, against.Point] = {}
+    for point in sorted(points, key=lambda point: float(point["seconds"])):
+        ends = point["library"] == against.SPLITBAND
+        if ends or point.get("asked", int(point["seconds"])) <= LONGEST:
+            found[point["seed"]] = point
+    return [*found.values()]
+
+
+def of_short(out: Path = OUT) -> str:
+    """Return the errors on short records of drawn systems, beside a GRU alone, in Markdown."""
+    rows = [row for row in claims.read(out / clock.FILE) if row["record"] in SHORT]
+    runs = clock.groups(rows)
+    budgets = sorted({asked for _, asked, _ in runs})
+    lines, ratios = [], {asked: list[float]() for asked in budgets}
+    for name, system in SHORT.items():
+        cells = [system, f"{100 * GRU_ALONE[system]:.3g}"]
+        for asked in budgets:
+            of = runs.get((name, asked, 0), [])
+            errors = [row["errors"][0] for row in of]
+            ratios[asked] += [statistics.median(errors) / GRU_ALONE[system]] if errors else []
+            cells += [spread(errors, 100) + claims.sign(of), clock.recommended(of)]
+        lines.append(cells)
+    means = [[f"{statistics.geometric_mean(ratios[asked]):.2f}", ""] for asked in budgets]
+    lines.append(["geometric mean of the ratios to the GRU", "1", *itertools.chain(*means)])
+    heads = [[f"`--budget {asked:g}s`, %", "recommended"] for asked in budgets]
+    of_heads = ["system", "GRU alone, %", *itertools.chain(*heads)]
+    return table(of_heads, lines) + claims.note(rows)
 
 
 def _benchmark(benchmark: Benchmark, rows: Sequence[Row]) -> str:

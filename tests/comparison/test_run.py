@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
 
+import splitband as sb
 from splitband import Record
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import plan
@@ -142,6 +144,47 @@ def test_ctrl_c_before_there_is_anything_is_an_interruption() -> None:
 def test_limits_are_checked_before_anything_runs(options: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         plan(PlanRequest(RECORD, TRAIN, METHODS, **options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("budget", "2m", "a positive number of seconds, got str '2m'"),
+        ("methods", sb.Mean(), "a list of forecasters and names, got Mean"),
+        ("tests", None, "a list of records, got NoneType"),
+        ("others", RECORD, "a list of records, got Record"),
+        ("bands", 0.1, r"sb.Bands\(cutoff=...\), got float 0.1"),
+        ("also", [1], "a dictionary of lists of simulations, got list"),
+    ],
+)
+def test_arguments_of_another_type_are_refused_by_name(name: str, value: object, said: str) -> None:
+    with pytest.raises(TypeError, match=f"^{name} must be {said}"):
+        compare(RECORD, TRAIN, **{"methods": METHODS, name: value})  # type: ignore[arg-type]
+
+
+def test_methods_and_cores_are_checked() -> None:
+    with pytest.raises(ValueError, match=r"forecasters or names .*, got 3"):
+        compare(RECORD, TRAIN, [sb.Mean(), 3])  # type: ignore[list-item]
+    with pytest.raises(ValueError, match="cores must be at least 1, got -1"):
+        compare(RECORD, TRAIN, [sb.Mean()], cores=-1)
+
+
+def test_the_next_trainings_have_begun_when_a_table_is_shown() -> None:
+    submitted: list[object] = []
+    counts: dict[str, int] = {}
+
+    class Counting(ThreadPoolExecutor):
+        def submit(self, *job: Any, **options: Any) -> Future[Any]:
+            submitted.append(job)
+            return super().submit(*job, **options)
+
+    def watch(at: RunningComparison) -> None:
+        counts.setdefault(at.doing, len(submitted))
+
+    with Counting(2) as executor:
+        running: dict[str, Any] = {"executor": executor, "cores": 2, "watch": watch}
+        compare(RECORD, TRAIN, ["gru"], rounds=2, **running, **SMALL)  # type: ignore[arg-type]
+    assert counts["round 1"] > counts["round 1, 1 of 1 trainings"]
 
 
 def test_a_plan_is_asked_for_whatever_compare_takes() -> None:

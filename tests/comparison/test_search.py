@@ -113,6 +113,25 @@ def test_as_many_go_on_as_keep_all_cores_busy() -> None:
     assert going_on[-1] == 4
 
 
+def test_cores_that_would_wait_for_the_last_candidate_begin_with_other_seeds() -> None:
+    """Only the training with the longest window goes on improving, for five rounds."""
+    longest = max(settings_of(job).window for job in _firsts(searching(["gru"])))
+
+    def error(job: Job, done: int) -> float:
+        only = settings_of(job).window == longest and job.seed == 0
+        return 0.5 ** min(done, 5) if only else 1.0
+
+    least = {}
+    for cores in (1, 3):
+        search, trainer = searching(["gru"], cores), Trainer(error)
+        trainer.run(search)
+        assert search.converged
+        rounds = [jobs for jobs in trainer.rounds if any(error(job, 5) < 1 for job in jobs)]
+        least[cores] = min(len(jobs) for jobs in rounds[2:])
+    assert least[1] == 1
+    assert least[3] >= 3
+
+
 def test_what_does_not_improve_stops_and_other_seeds_follow_until_all_is_settled() -> None:
     search, trainer = searching(["gru"]), Trainer(lambda job, n: 1.0 - 0.001 * n)
     trainer.run(search)

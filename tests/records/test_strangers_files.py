@@ -102,6 +102,9 @@ SKIP = {"skip_rows": 1, "time_column": 0}
         ("1,500\n-0,250\n-0,125\n0,000\n", "line 1 may hold decimal commas", None, 0),
         ("1,5\n-0,25\n-0,12\n0,4\n", "whole numbers, which a line of names", None, 0),
         (table(lambda i: f"{i} msec"), "row 0 holds '0 msec' (line 2)", None, 0),
+        (table(str) + "Mean,0.1\n", "(line 42); remove what stands below the samples", None, 0),
+        (table(str) + ",0.1\n", "empty in the last rows; remove what stands below", None, 0),
+        (table(str) + table(lambda i: f"{i + 40}"), "(line 42); the names stand again", None, 0),
     ],
 )
 @pytest.mark.filterwarnings("ignore::splitband.records.signals.ReadingWarning")
@@ -163,6 +166,31 @@ def test_a_unit_that_is_not_known_is_refused(tmp_path: Path) -> None:
     path = text_file(tmp_path, table(str, "Zeit [ticks],y\n"))
     assert "such as 'Zeit [ticks]', which increases" in message(path)
     assert "a unit that is not known, 'ticks'" in message(path, time_column="Zeit [ticks]")
+
+
+@pytest.mark.parametrize("thousands", [" ", "\u00a0", "\u202f", "'"])
+@pytest.mark.parametrize("decimal", [",", "."])
+def test_thousands_may_be_separated_by_blanks(tmp_path: Path, thousands: str, decimal: str) -> None:
+    rows = "".join(f"{i};1{thousands}{Y[i] + 500:07.3f}\n" for i in range(40))
+    found = read(text_file(tmp_path, "time;y\n" + rows.replace(".", decimal)))
+    np.testing.assert_allclose(found.y[:, 0], Y + 1500, rtol=1e-12)
+
+
+def test_exponents_of_fortran(tmp_path: Path) -> None:
+    rows = "".join(f"  {i:.3E}  {Y[i]:.7E}\n" for i in range(40)).replace("E", "D")
+    check(text_file(tmp_path, "time y\n" + rows, "run.dat"), 1, 0, ("y",))
+
+
+def test_labviews_column_of_comments_has_no_cells(tmp_path: Path) -> None:
+    end, names = "***End_of_Header***\t\n", "X_Value\ty\tComment\n"
+    rows = "".join(f"{i}.0\t{Y[i]}\n" for i in range(40))
+    part = f"Channels\t1\nX0\t0\nDelta_X\t1\n{end}{names}{rows}"
+    text = f"Separator\tTab\nDate\t2024/03/01\n{end}\t\n{part}"
+    path = text_file(tmp_path, text, "rig.lvm")
+    assert "such as 'X_Value'" in message(path)
+    check(path, 1, 0, ("y",), time_column="X_Value")
+    twice = text_file(tmp_path, text + part, "rig.lvm")  # each part begins anew
+    assert "row 40 holds 'Channels' (line 50)" in message(twice, time_column="X_Value")
 
 
 def test_structures_of_matlab(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from splitband.checks.residuals import (
     ResidualTests,
     residual_tests,
 )
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, fitted_of
 from splitband.forecasters.held_out import (
     Origin,
     after,
@@ -175,7 +175,7 @@ def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> M
     """
     if ahead is not None:
         whole("ahead", ahead)
-    fitted = forecaster.require_fitted()
+    fitted = fitted_of(forecaster)
     require_records("record", record)
     check_alike(record, fitted.record, "record")
     found = _simulated(forecaster, record)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, fitted_of
 from splitband.forecasters.prediction import OVERFLOWED
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arguments import whole
@@ -158,7 +158,7 @@ def step_responses(
     ValueError
         For a forecaster without inputs, and one that needs a simulator's output from a record.
     """
-    fitted = forecaster.require_fitted()
+    fitted = fitted_of(forecaster)
     record, steps, growth = fitted.record, whole("steps", steps), fitted.report.growth
     if fitted.u_summary is None:
         raise InputError(f"{forecaster.name} must have inputs to respond to, it has none")

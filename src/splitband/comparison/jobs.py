@@ -16,6 +16,7 @@ from splitband.comparison.methods import NAMES, TRAINED
 from splitband.forecasters.base import Forecaster, all_parts, cells_of, fitted_like, same
 from splitband.networks.cell import label_of
 from splitband.records import Record
+from splitband.runtime.arguments import whole
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.optional import has_torch
 from splitband.runtime.workers import Queue, Workers, ended_from_outside
@@ -167,7 +168,7 @@ class Runner:
     """
 
     def __init__(self, cores: int = 1, executor: Executor | None = None) -> None:
-        self.cores = cores
+        self.cores = cores = whole("cores", cores)
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
         self._queue = Queue[Job, Fit](self.executor, cores + 1)  # none waits for this process

@@ -147,8 +147,6 @@ TRAINED = tuple(name for name, method in NAMES.items() if method.random)
 QUICK = tuple(name for name, method in NAMES.items() if not method.random)
 """Methods that need no seed."""
 HYBRIDS = tuple(name for name in TRAINED if "simulator" in NAMES[name].needs)
-BASED = tuple(name for name in TRAINED if parts_of(NAMES[name]) and name not in HYBRIDS)
-"""Hybrids whose slow component is fitted to the record: they need no simulator's output."""
 
 
 def named(name: str, sizes: Sizes | None = None) -> Forecaster:
@@ -198,10 +196,11 @@ def forecasters(
     table = NAMES if sizes is None else {method.name: method for method in _methods(sizes)}
     asked = [methods] if isinstance(methods, str) else [*methods]
     names = [each for each in asked if isinstance(each, str)]
-    if unknown := [name for name in names if name not in table]:
+    strange = [each for each in asked if not isinstance(each, str | Forecaster)]
+    if unknown := strange + [name for name in names if name not in table]:
         raise InputError(
             "methods must be forecasters or names that `splitband methods` lists, "
-            f"got {unknown[0]!r}{did_you_mean(unknown[:1], table)}"
+            f"got {unknown[0]!r}{did_you_mean(map(str, unknown[:1]), table)}"
         )
     several = {name: variants(table[name].clone(), calibrate, conditioned) for name in names}
     made = [variant for each in several.values() for variant in each]

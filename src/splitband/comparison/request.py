@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
+from numbers import Real
 from typing import Any
 
 from splitband.comparison.methods import Sizes
@@ -20,6 +21,17 @@ from splitband.training.settings import Recipe
 
 LARGEST_SEED = 2**32 - 1
 """Seeds of single trainings, which are multiples of it, must fit into 64 bits."""
+_KINDS: dict[str, tuple[tuple[type, ...], str]] = {
+    "methods": ((Sequence,), "a list of forecasters and names"),
+    "others": ((Sequence,), "a list of records"),
+    "tests": ((Sequence,), "a list of records"),
+    "settings": ((TrainingSettings, Mapping), "sb.TrainingSettings, or a dictionary of some"),
+    "bands": ((Bands,), "sb.Bands(cutoff=...)"),
+    "sizes": ((Sizes,), "Sizes of splitband.comparison.methods"),
+    "budget": ((Real,), "a positive number of seconds"),
+    "also": ((Mapping,), "a dictionary of lists of simulations"),
+}
+"""What some arguments must be, which may be None where that is their default."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +67,11 @@ class PlanRequest:
 
     def __post_init__(self) -> None:
         require_records("record", self.record)
+        for name, (kinds, words) in _KINDS.items():
+            value = getattr(self, name)
+            if not isinstance(value, kinds) and value is not getattr(PlanRequest, name):
+                raise TypeError(f"{name} must be {words}, got {type(value).__name__} {value!r:.40}")
         for name, several in (("others", self.others), ("tests", self.tests)):
-            if isinstance(several, Record):
-                raise TypeError(f"{name} must be a list of records: write [record]")
             require_records(name, *several)
         if self.ahead is not None and whole("ahead", self.ahead) and self.horizon:
             raise InputError(

@@ -60,6 +60,7 @@ class RunningComparison:
         self._trial: Trial | None = None  # of the trials so far
         self._search: Search | None = None
         self._bases = Bases(runner)
+        self._ended_round = ""  # the last one, until its table is shown
         clock.enter("simulators")
         # Whether time is over before workers begin; they take as long as this process.
         self._brief = runner.executor is not None and clock.left < clock.parts["start"]
@@ -285,8 +286,7 @@ class RunningComparison:
             search.tell(self._trained(jobs, until, f"round {search.round}"))
             for name, fits in search.trials.items():
                 self.states[name].trial, self._trial = fits, None
-            if not clock.interrupted:
-                self._report(f"round {search.round}", new_table=True)
+            self._ended_round = "" if clock.interrupted else f"round {search.round}"
             if until.over or clock.interrupted:
                 break
             if search.round == 1 and self.plan.extended and most != 1:
@@ -447,6 +447,9 @@ class RunningComparison:
         try:
             patience = estimates.patience(until, self.clock.deadline, self._forecasting())
             self._runner.begin(jobs, until, patience)
+            if self._ended_round:  # workers train while its table is written
+                self._report(self._ended_round, new_table=True)
+                self._ended_round = ""
             self._report(f"{doing}, 0 of {len(jobs)} trainings")
             for job, fit in self._ended(jobs):
                 fits[job] = fit

@@ -4,9 +4,10 @@ Not in the paper. A candidate is a method with one choice of sizes, window, pena
 seed. Each is trained for one round on the first three quarters of the training part, and forecasts
 the rest of it. The better half goes on from its weights for four times as long, and so on (Jamieson
 and Talwalkar, 2016). All methods get their first round before any gets another one. When no
-candidate is left that further training improves, the better half of the choices begins again with
-another seed; when all seeds are done, what was left behind goes on. A search can be stopped after
-any round; the best candidates are then trained to the end, on all samples of the training part.
+candidate is left that further training improves, or fewer than there are cores, the better half of
+the choices begins again with another seed; when all seeds are done, what was left behind goes on. A
+search can be stopped after any round; the best candidates are then trained to the end, on all
+samples of the training part.
 """
 
 from __future__ import annotations
@@ -227,6 +228,8 @@ class Search:
         while found:
             pool = found
             while pool := _better([c for c in pool if c.progressed], self._cores):
+                if len(pool) < self._cores:  # the others would wait for these
+                    pool += self._with_new_seeds()
                 yield pool
             found = self._with_new_seeds()
             if found:

@@ -636,3 +636,13 @@ def _changed(option: Any, changed: Callable[[Forecaster], Forecaster]) -> Any:
     if type(option) in (list, tuple):
         return type(option)(_changed(part, changed) for part in option)
     return option
+
+
+def fitted_of(model: Any) -> Fitted:
+    """Return what a model was fitted to; raises TypeError for what is no forecaster."""
+    if not isinstance(model, Forecaster):
+        raise TypeError(
+            "forecaster must be a model, such as result.model or what splitband.load(folder) "
+            f"returns, got {type(model).__name__}"
+        )
+    return model.require_fitted()

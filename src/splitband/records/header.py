@@ -35,6 +35,7 @@ _VALUES = (
     _STAMP,
 )
 _BRACKETS = re.compile(r"\(.*\)|\[.*\]")
+_REMARKS = "comment", "comments", "remark", "remarks", "note", "notes"
 _COMMENT = re.compile(r"\s*[#%]\s*")
 
 
@@ -195,11 +196,11 @@ def _chosen(above: Sequence[Row], body: Sequence[Row], columns: Columns) -> tupl
         above = [replace(row, cells=("", *row.cells)) for row in above]
     kinds = [columns.kind(row) for row in above]
     begin = max((i for i, kind in enumerate(kinds, 1) if kind == "neither"), default=0)
-    block, kinds = above[begin:], kinds[begin:]
+    cells = max(len(row.cells) for row in body)
+    block, kinds = [_without_remarks(row, cells) for row in above[begin:]], kinds[begin:]
     columns.check_units([] if block else above[-1:], below)
     full = [row for row, kind in zip(block, kinds, strict=True) if kind == "names"]
     full = full or [row for row in block if row.width == below.width and len(block) == 1]
-    cells = max(len(row.cells) for row in body)
     if all(row.width > cells for row in full):
         line, width = block[-1].line, block[-1].width
         commas = "; decimal commas need ; or tabs between columns, or points in their place"
@@ -230,6 +231,12 @@ def _chosen(above: Sequence[Row], body: Sequence[Row], columns: Columns) -> tupl
             "(--header-row) says which line holds those of the columns"
         )
     return _with_units(names, units, below, columns)
+
+
+def _without_remarks(names: Row, cells: int) -> Row:
+    """Leave out the name of a column that the rows below do not have, as LabVIEW's "Comment"."""
+    more = names.width == cells + 1 and names.cells[cells].lower() in _REMARKS
+    return replace(names, cells=names.cells[:cells]) if more else names
 
 
 def _in_comments(

@@ -112,7 +112,8 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
     stamps in a column, or in an index of dates, durations, periods or fractions, or with a name.
 
     Text may be separated by commas, semicolons, tabs or blanks, with comments after `#` or `%`. It
-    has one decimal sign, a point or a comma, and may have thousands separators. Lines above the
+    has one decimal sign, a point or a comma, and may have thousands separators (the other sign, a
+    blank or an apostrophe) and Fortran's exponents, 1.5D+03. Lines above the
     names are left out; a line of units below them, "mm", becomes part of the names, "x [mm]", which
     "x" finds too.
 

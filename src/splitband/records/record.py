@@ -433,6 +433,7 @@ def require_records(what: str, *given: Any) -> None:
 
 def check_alike(other: Record, record: Record, name: str) -> None:
     """Check that another record, called `name` in messages, can be of the same system."""
+    require_records(name, other)
     if (other.ny, other.nu) != (record.ny, record.nu):
         raise InputError(
             f"{name} must have the training record's {record.ny} channel(s) and {record.nu} "

@@ -21,12 +21,14 @@ Gaps = Literal["refuse", "mask"]
 Column: TypeAlias = "pd.Series[Any]"
 _NUMBERED = re.compile(r"[yu]\d*|\d+")
 """Default names such as "y", "u1" or "2", see `same_names`."""
-_THOUSANDS = {".": ",", ",": "."}
-"""The thousands separator beside each decimal sign."""
+_THOUSANDS = {".": "[,'\u2019 \u00a0\u202f]", ",": "[.'\u2019 \u00a0\u202f]"}
+"""Pattern of the thousands separators beside each decimal sign."""
 _INTEGER = r"\s*[-+]?\d+\s*"
 _ON = "on true yes open open active enabled running t y"
 _OFF = "off false no closed close inactive disabled stopped f n"
 """Words for the states of a switch, in small letters."""
+MOST_BELOW = 9
+"""Most rows below the samples, such as means, that a message takes for such."""
 MOST_WORDS = 20
 """Most words of a column of categories, each of which becomes a column. By eye."""
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
@@ -130,6 +132,7 @@ def numbers(what: str, column: Column) -> Array:
             cell = str(cells.iloc[bad[0]])[:40]
             raise InputError(
                 f"{what} must be numeric: row {bad[0]} holds {cell!r}{in_file(cells, bad[0])}"
+                f"{hint_for(what, cell)}{below_samples(bad, len(cells))}"
             )
     if is_complex_dtype(column):
         raise InputError(f"{what} must be real: it holds complex values")
@@ -192,11 +195,23 @@ def in_file(column: Column, row: int) -> str:
     return f" (line {column.index[row]})" if column.index.name == "line" else ""
 
 
+def hint_for(what: str, cell: str) -> str:
+    """Return what to do about a cell that is the name of its column."""
+    again = "; the names stand again there: remove the line, or split the file if runs were joined"
+    return again if repr(cell) in what else ""
+
+
+def below_samples(bad: NDArray[Any], rows: int) -> str:
+    """Return what to do about bad rows, if they are the last few of so many."""
+    few = 0 < len(bad) <= MOST_BELOW and bad[-1] - bad[0] == len(bad) - 1 and bad[-1] == rows - 1
+    return "; remove what stands below the samples, such as a line of means" if few else ""
+
+
 def number_pattern(decimal: str) -> str:
     """Return the pattern of a number with this decimal sign, thousands separators included."""
-    sign, thousands = re.escape(decimal), re.escape(_THOUSANDS[decimal])
+    sign, thousands = re.escape(decimal), _THOUSANDS[decimal]
     return (
-        rf"\s*[-+]?(?:(?:\d+{sign}?\d*|{sign}\d+)(?:[eE][-+]?\d+)?"
+        rf"\s*[-+]?(?:(?:\d+{sign}?\d*|{sign}\d+)(?:[eE][-+]?\d+|[dD][-+]\d\d+)?"
         rf"|[1-9]\d{{0,2}}(?:{thousands}\d{{3}})+(?:{sign}\d*)?)\s*"
     )
 
@@ -243,7 +258,8 @@ def decimal_sign(cells: pd.DataFrame, separator: str) -> str:
 def plain_numbers(column: Column, decimal: str) -> Column:
     """Return a column as numbers; if a cell is not a number, as text that `float` can read."""
     is_number = column.str.fullmatch(number_pattern(decimal), na=False)
-    plain = column.str.replace(_THOUSANDS[decimal], "", regex=False)
+    plain = column.str.replace(_THOUSANDS[decimal], "", regex=True)
+    plain = plain.str.replace("[dD]", "e", regex=True)  # Fortran's exponents
     plain = column.where(~is_number, plain.str.replace(decimal, ".", regex=False))
     values = pd.to_numeric(plain, errors="coerce")
     return plain if (values.isna() & plain.notna()).any() else values

@@ -13,7 +13,16 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype, is_timedelta64_dtype
 
-from splitband.records.signals import Column, has_number, in_file, is_text, numbers, require_finite
+from splitband.records.signals import (
+    Column,
+    below_samples,
+    has_number,
+    hint_for,
+    in_file,
+    is_text,
+    numbers,
+    require_finite,
+)
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
@@ -167,6 +176,8 @@ def readings(what: str, name: str, column: Column) -> list[Reading]:
         return [Reading("seconds", numbers(what, column))]
     if has_number(column):
         values = numbers(what, column)
+        if hint := below_samples(np.flatnonzero(~np.isfinite(values)), len(values)):
+            raise InputError(f"{what} is empty in the last rows{hint}")
         require_finite(what, values[:, None])
         kind = np.float32 if column.dtype == np.float32 else np.float64
         return _of_numbers(what, name, values, 2 * float(np.spacing(kind(np.abs(values).max()))))
@@ -333,7 +344,7 @@ def _of_dates(what: str, column: Column) -> Reading:
         cell = str(column.iloc[bad[0]])[:40]
         raise InputError(
             f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}"
-            f"{in_file(column, bad[0])}"
+            f"{in_file(column, bad[0])}{hint_for(what, cell)}{below_samples(bad, len(column))}"
         )
     first = dates.iloc[0].as_unit("ns")
     # pandas adds today's date to a time without a date; here it is counted from midnight.

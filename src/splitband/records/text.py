@@ -26,6 +26,7 @@ _MISSING = {"", "na", "n/a", "#n/a", "#na", "null", "none", "<na>"}
 _ERRORS_OF_CELLS = r"N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!"
 """Error values of spreadsheets after a "#", which then does not begin a comment."""
 _EXCELS_SEPARATOR = re.compile(r"sep=(.)\s*", re.IGNORECASE)
+_LABVIEWS_END = "***End_of_Header***"
 _RAGGED = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
 _TABLE: Any = {"header": None, "index_col": False, "skipinitialspace": True, "na_values": ["NAN"]}
 if pd.__version__ < "3.1":  # newer ones read every digit, and warn of the option
@@ -74,7 +75,9 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
     sep = "\t" if suffix == ".tsv" else ""
     if excels := _EXCELS_SEPARATOR.fullmatch(lines[begin]):
         sep, lines[begin] = excels[1], ""
-    lines[: layout.skip_rows] = [""] * min(layout.skip_rows, len(lines))
+    heads = [i for i, line in enumerate(lines, 1) if line.startswith(_LABVIEWS_END)]
+    skipped = max(layout.skip_rows, *heads[:2], 0)  # a head of the file, and one of its first part
+    lines[:skipped] = [""] * min(skipped, len(lines))
     if not any(lines):
         raise InputError("it holds no data")
     sep = sep or _separator(lines, layout)
@@ -207,7 +210,11 @@ def _separator(lines: Sequence[str], layout: Layout) -> str:
 def _with_decimal(text: str, sep: str, names: list[Any]) -> pd.DataFrame:
     """Parse rows of cells, with the decimal sign that they show."""
     if ('"' if sep == "," else ",") not in text and sep not in ";\t":
-        return _parsed(text, sep, names)  # no cell can hold a comma
+        frame = _parsed(text, sep, names)  # no cell can hold a comma
+        for name in frame.columns:
+            if is_text(frame[name]) and is_value(str(frame[name].iloc[0])):
+                frame[name] = plain_numbers(frame[name], ".")
+        return frame
     cells_as_text = _parsed(text, sep, names, dtype=str)
     decimal = decimal_sign(cells_as_text, sep)
     frame = _parsed(text, sep, names, decimal=decimal)
