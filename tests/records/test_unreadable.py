@@ -18,6 +18,7 @@ from tests.records.support import U, message, saved, text_file
     [
         ("", {}, "the file is empty"),
         ("\n\n# only a comment\n", {}, "it holds no data"),
+        ("a,b\n", {}, "at least 2 rows: it has 0"),
         ("a,b\n1,2\n", {}, "at least 2 rows: it has 1"),
         ("a,b\n1,2\n3,4\n", {"columns": ["c"]}, "column 'c' is unknown: the columns are 'a', 'b'"),
         ("a,b\n1,2\n3,4\n", {"columns": ["a"], "inputs": ["a"]}, "'a' is asked for twice"),
@@ -37,6 +38,20 @@ def test_errors_in_text(
     tmp_path: Path, text: str | bytes, options: dict[str, Any], words: str
 ) -> None:
     assert words in message(text_file(tmp_path, text), **{"sampling_time": 1, **options})
+
+
+@pytest.mark.parametrize(
+    ("name", "opened"),
+    [
+        ("rig.xlsx", "pandas.read_excel('rig.xlsx')"),
+        ("rig.MF4", "asammdf.MDF('rig.MF4').to_dataframe()"),
+        ("rig.tdms", "nptdms.TdmsFile.read('rig.tdms').as_dataframe(time_index=True)"),
+    ],
+)
+def test_files_that_other_libraries_read(tmp_path: Path, name: str, opened: str) -> None:
+    said = message(text_file(tmp_path, b"\x00\x01", name))
+    assert "save it as CSV or Parquet" in said
+    assert f"pass {opened} to splitband.read" in said
 
 
 def test_at_most_ten_columns_are_listed(tmp_path: Path) -> None:

@@ -132,7 +132,8 @@ def numbers(what: str, column: Column) -> Array:
             cell = str(cells.iloc[bad[0]])[:40]
             raise InputError(
                 f"{what} must be numeric: row {bad[0]} holds {cell!r}{in_file(cells, bad[0])}"
-                f"{hint_for(what, cell)}{below_samples(bad, len(cells))}"
+                f"{hint_for(what, cell)}"
+                f"{below_samples(bad, len(cells)) if what.startswith('time') else ''}"
             )
     if is_complex_dtype(column):
         raise InputError(f"{what} must be real: it holds complex values")

@@ -35,18 +35,33 @@ _IN_MATLAB = {
     "datetime": "; in MATLAB time = seconds({0} - {0}(1))",
 }
 """What saves objects in a form that others can read."""
+_OPENED_BY = {
+    **dict.fromkeys((".xlsx", ".xls", ".xlsm", ".ods"), "pandas.read_excel('{0}')"),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), "pandas.read_hdf('{0}'), or h5py's arrays,"),
+    **dict.fromkeys((".mf4", ".mdf"), "asammdf.MDF('{0}').to_dataframe()"),
+    ".tdms": "nptdms.TdmsFile.read('{0}').as_dataframe(time_index=True)",
+    ".feather": "pandas.read_feather('{0}')",
+    ".json": "pandas.read_json('{0}')",
+}
+"""What makes a DataFrame of files that are not read here."""
 _AnyArray: TypeAlias = NDArray[Any]
 
 
 def load(path: Path, layout: Layout) -> Table:
     """Read every column of a file; an error of any reader is raised as an `InputError`."""
-    kind, reader = _READERS.get(path.suffix.lower(), ("text", None))
+    suffix = path.suffix.lower()
+    kind, reader = _READERS.get(suffix, ("text", None))
     if reader is not None:
         layout.check_no_lines(kind)
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not file.peek(1):
             raise InputError("the file is empty")
+        if (opened := _OPENED_BY.get(suffix)) is not None:
+            raise InputError(
+                f"a {suffix} file is not read: save it as CSV or Parquet, or in Python pass "
+                f"{opened.format(path.name)} to splitband.read"
+            )
         if reader is None:  # in one pass, as the file may be a pipe
             check_size(4 * path.stat().st_size)
             # Memory holds it as bytes, as lines and as numbers.

@@ -212,7 +212,7 @@ def _with_decimal(text: str, sep: str, names: list[Any]) -> pd.DataFrame:
     if ('"' if sep == "," else ",") not in text and sep not in ";\t":
         frame = _parsed(text, sep, names)  # no cell can hold a comma
         for name in frame.columns:
-            if is_text(frame[name]) and is_value(str(frame[name].iloc[0])):
+            if is_text(frame[name]) and is_value(str(next(iter(frame[name]), ""))):
                 frame[name] = plain_numbers(frame[name], ".")
         return frame
     cells_as_text = _parsed(text, sep, names, dtype=str)
