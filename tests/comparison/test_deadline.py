@@ -102,6 +102,17 @@ def test_what_is_quick_is_fitted_before_a_simulator(monkeypatch: pytest.MonkeyPa
     assert vars(result.fits["patient"][0].fitted)["steps"] > 0
 
 
+@pytest.mark.parametrize("limit", [2000.0, 3000.0])
+def test_time_that_is_left_after_a_round_that_was_cut_is_used(
+    limit: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(PlanRequest(RECORD, TRAIN, ["gru"], budget=1e6, settings={"warmup": 10}))
+    result = run(planned, clock=Clock(limit, clock.at))
+    assert 0.9 < result.clock.used / limit < 1.0
+    assert not result.clock.settled
+
+
 def test_linear_is_fitted_though_the_start_took_the_time() -> None:
     """A worker process would begin as slowly as this one did."""
     planned = plan(PlanRequest(RECORD, TRAIN, ["linear", "mean", "gru"], budget=5.0, **SMALL))

@@ -21,6 +21,9 @@ MOST_OF_BASELINE = 10.0
 PAGE_SHARE = 0.1
 """Largest share of the time left for writing the whole result meanwhile. Bounds the time."""
 
+LEAST_ROUND = 0.05
+"""Share of the time for which a further round is not begun any more. Bounds the time."""
+
 
 @dataclass(eq=False)
 class Clock:
@@ -74,6 +77,11 @@ class Clock:
     def shared(self) -> Deadline:
         """Return the deadline of what does not train networks, where others do."""
         return Deadline.after(MOST_OF_TIME_LEFT * self.left)
+
+    @property
+    def least_round(self) -> float:
+        """Return the seconds that are too few for a further round."""
+        return 0.0 if self.limit is None else LEAST_ROUND * self.limit
 
     def of_baseline(self, count: int) -> float:
         """Return the seconds of one of so many fits without networks; without a limit no end."""

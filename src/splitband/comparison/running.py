@@ -275,7 +275,7 @@ class RunningComparison:
         search = self._search = Search(ready, self._runner.cores if most is None else 1)
         while most is None or search.round < most:
             reserve = self._reserve(search)
-            if search.round and clock.left <= reserve:
+            if search.round and clock.left - reserve <= clock.least_round:
                 break
             jobs = search.ask(clock.left - reserve)
             if not jobs:
@@ -287,7 +287,7 @@ class RunningComparison:
             for name, fits in search.trials.items():
                 self.states[name].trial, self._trial = fits, None
             self._ended_round = "" if clock.interrupted else f"round {search.round}"
-            if until.over or clock.interrupted:
+            if clock.interrupted:
                 break
             if search.round == 1 and self.plan.extended and most != 1:
                 self._await_quick(trials_alone=True)
