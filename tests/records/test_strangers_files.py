@@ -176,6 +176,11 @@ def test_thousands_may_be_separated_by_blanks(tmp_path: Path, thousands: str, de
     np.testing.assert_allclose(found.y[:, 0], Y + 1500, rtol=1e-12)
 
 
+def test_two_whole_numbers_in_a_cell_are_no_thousands(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "time;x y\n" + "".join(f"{i};12 {i + 345}\n" for i in range(40)))
+    assert "no numbers: '12 345'" in message(path)
+
+
 def test_exponents_of_fortran(tmp_path: Path) -> None:
     rows = "".join(f"  {i:.3E}  {Y[i]:.7E}\n" for i in range(40)).replace("E", "D")
     check(text_file(tmp_path, "time y\n" + rows, "run.dat"), 1, 0, ("y",))
@@ -189,6 +194,8 @@ def test_labviews_column_of_comments_has_no_cells(tmp_path: Path) -> None:
     path = text_file(tmp_path, text, "rig.lvm")
     assert "such as 'X_Value'" in message(path)
     check(path, 1, 0, ("y",), time_column="X_Value")
+    bare = text_file(tmp_path, text.replace(end, "", 1) + part, "rig.lvm")  # parts alone
+    assert "row 40 holds 'Channels'" in message(bare, time_column="X_Value")
     twice = text_file(tmp_path, text + part, "rig.lvm")  # each part begins anew
     assert "row 40 holds 'Channels' (line 50)" in message(twice, time_column="X_Value")
 

@@ -21,7 +21,7 @@ Gaps = Literal["refuse", "mask"]
 Column: TypeAlias = "pd.Series[Any]"
 _NUMBERED = re.compile(r"[yu]\d*|\d+")
 """Default names such as "y", "u1" or "2", see `same_names`."""
-_THOUSANDS = {".": "[,'\u2019 \u00a0\u202f]", ",": "[.'\u2019 \u00a0\u202f]"}
+_THOUSANDS = {".": "[,'\u2019\u00a0\u202f]", ",": "[.'\u2019\u00a0\u202f]"}
 """Pattern of the thousands separators beside each decimal sign."""
 _INTEGER = r"\s*[-+]?\d+\s*"
 _ON = "on true yes open open active enabled running t y"
@@ -132,8 +132,7 @@ def numbers(what: str, column: Column) -> Array:
             cell = str(cells.iloc[bad[0]])[:40]
             raise InputError(
                 f"{what} must be numeric: row {bad[0]} holds {cell!r}{in_file(cells, bad[0])}"
-                f"{hint_for(what, cell)}"
-                f"{below_samples(bad, len(cells)) if what.startswith('time') else ''}"
+                f"{hint_for(what, cell)}{below_samples(bad, len(cells))}"
             )
     if is_complex_dtype(column):
         raise InputError(f"{what} must be real: it holds complex values")
@@ -213,7 +212,8 @@ def number_pattern(decimal: str) -> str:
     sign, thousands = re.escape(decimal), _THOUSANDS[decimal]
     return (
         rf"\s*[-+]?(?:(?:\d+{sign}?\d*|{sign}\d+)(?:[eE][-+]?\d+|[dD][-+]\d\d+)?"
-        rf"|[1-9]\d{{0,2}}(?:{thousands}\d{{3}})+(?:{sign}\d*)?)\s*"
+        rf"|[1-9]\d{{0,2}}(?:{thousands}\d{{3}})+(?:{sign}\d*)?"
+        rf"|[1-9]\d{{0,2}}(?: \d{{3}})+{sign}\d+)\s*"  # without a sign, it may be two numbers
     )
 
 
@@ -259,7 +259,7 @@ def decimal_sign(cells: pd.DataFrame, separator: str) -> str:
 def plain_numbers(column: Column, decimal: str) -> Column:
     """Return a column as numbers; if a cell is not a number, as text that `float` can read."""
     is_number = column.str.fullmatch(number_pattern(decimal), na=False)
-    plain = column.str.replace(_THOUSANDS[decimal], "", regex=True)
+    plain = column.str.replace(f" |{_THOUSANDS[decimal]}", "", regex=True)
     plain = plain.str.replace("[dD]", "e", regex=True)  # Fortran's exponents
     plain = column.where(~is_number, plain.str.replace(decimal, ".", regex=False))
     values = pd.to_numeric(plain, errors="coerce")

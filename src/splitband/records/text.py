@@ -75,8 +75,7 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
     sep = "\t" if suffix == ".tsv" else ""
     if excels := _EXCELS_SEPARATOR.fullmatch(lines[begin]):
         sep, lines[begin] = excels[1], ""
-    heads = [i for i, line in enumerate(lines, 1) if line.startswith(_LABVIEWS_END)]
-    skipped = max(layout.skip_rows, *heads[:2], 0)  # a head of the file, and one of its first part
+    skipped = max(layout.skip_rows, _labviews_head(lines))
     lines[:skipped] = [""] * min(skipped, len(lines))
     if not any(lines):
         raise InputError("it holds no data")
@@ -102,6 +101,14 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
         frame.index = pd.Index(body, name="line")
     filled = np.flatnonzero(frame.notna().any(axis=1))  # spreadsheets may end with empty rows
     return frame.iloc[: filled[-1] + 1 if filled.size else 0]
+
+
+def _labviews_head(lines: Sequence[str]) -> int:
+    """Return how many lines the head of a LabVIEW file has, with that of its first part."""
+    ends = [i for i, line in enumerate(lines, 1) if line.startswith(_LABVIEWS_END)]
+    below = lines[ends[0] : ends[1]] if len(ends) > 1 else []
+    samples = any(is_value(cell) for line in below for cell in line.split()[:1])
+    return max(ends[: 1 if samples else 2], default=0)
 
 
 def _check_empty(written: Sequence[str], body: Sequence[int]) -> None:
