@@ -106,7 +106,7 @@ def test_headers_of_instruments(
         ("u,y\n0,5,1,5\n1,5,2,5\n", {}, "decimal commas need ; or tabs"),
         ("time x\n1 0.5 2\n2 1 3\n", {}, "line 1 holds 2 names, line 2 3 cells"),
         ("Name;a;Name;b\nUnit;;Unit;\n\n0;1;0;2\n1;2;1;3\n", {}, "'Name [Unit]' stands 2 times"),
-        ("time,x,x\n0,1,2\n1,3,4\n", {}, "stands 2 times"),
+        ("time,x,x\n0,1,2\n1,3,4\n", {}, "'x' stands 2 times; rename all but one"),
         ("time,y\n0,1\n1,2\ntime,y\n2,3\n", {}, "row 2 holds 'time' (line 4)"),
         ("time,y\n0,1\n1,2\n2,3\nEnd,\n", {}, "row 3 holds 'End' (line 5)"),
         ("# rig\n\ntime,y\n0,1\n1,OL\n2,3\n", {}, "row 1 holds 'OL' (line 5); missing (--missing)"),

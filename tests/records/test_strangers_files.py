@@ -181,6 +181,19 @@ def test_two_whole_numbers_in_a_cell_are_no_thousands(tmp_path: Path) -> None:
     assert "no numbers: '12 345'" in message(path)
 
 
+def test_a_unit_in_each_cell_is_taken_out_as_the_message_says(tmp_path: Path) -> None:
+    path = text_file(tmp_path, "time,y\n" + "".join(f"{i},{y} mV\n" for i, y in enumerate(Y)))
+    assert "columns='y' (--columns y) says how to leave the unit ' mV' out" in message(path)
+    said, data = message(path, columns="y"), pd.read_csv(path)
+    assert said.endswith("; in pandas table['y'].str.replace(' mV', '') leaves the unit out")
+    data["y"] = data["y"].str.replace(" mV", "")
+    np.testing.assert_array_equal(read(data, columns="y").y[:, 0], Y)
+    mixed = text_file(tmp_path, "time,y\n0,1 V\n1,1 mV\n2,3 V\n")  # no unit in common
+    assert "leaves the unit" not in message(mixed, columns="y")
+    after = text_file(tmp_path, "time,y\n0,1-\n1,2-\n2,3-\n")  # a sign
+    assert "leaves the unit" not in message(after, columns="y")
+
+
 def test_exponents_of_fortran(tmp_path: Path) -> None:
     rows = "".join(f"  {i:.3E}  {Y[i]:.7E}\n" for i in range(40)).replace("E", "D")
     check(text_file(tmp_path, "time y\n" + rows, "run.dat"), 1, 0, ("y",))

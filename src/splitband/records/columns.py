@@ -13,6 +13,7 @@ from splitband.records.signals import (
     Column,
     bare_name,
     categories_of,
+    common_unit,
     has_number,
     is_text,
     numbers,
@@ -149,6 +150,8 @@ def _reason(name: str, column: Column, rows: int) -> str:
         return "another time column"
     known = column.dropna()
     reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
+    if unit := common_unit(known.astype(str)):
+        reason += f"; columns={name!r} (--columns {name}) says how to leave the unit {unit!r} out"
     if 1 < len(categories_of(column)) < len(known) / 2:
         reason += "; its words can be an input (--inputs)"
     return "" if has_number(column) else reason
@@ -184,9 +187,12 @@ def values_of(name: str, column: Column) -> Array:
     try:
         return numbers(f"column {name!r}", column)
     except InputError as error:
+        cells = column.dropna().astype(str).str.strip().unique() if is_text(column) else ()
         words = "; missing (--missing) names words for missing values"
-        if is_text(column) and not has_number(column):
-            states = dict(zip(column.dropna().astype(str).unique()[:4], range(4), strict=False))
+        if unit := common_unit(cells):
+            words = f"; in pandas table[{name!r}].str.replace({unit!r}, '') leaves the unit out"
+        elif not has_number(column) and all(cell[:1].isalpha() for cell in cells):
+            states = dict(zip(cells[:4], range(4), strict=False))
             words = f"; numbers may stand for words, in pandas table[{name!r}].map({states})"
         raise InputError(f"{error}{words if is_text(column) else ''}") from None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from mmap import mmap
 from typing import Any, Literal, TypeAlias
 
@@ -32,6 +32,7 @@ MOST_BELOW = 9
 MOST_WORDS = 20
 """Most words of a column of categories, each of which becomes a column. By eye."""
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
+_NUMBER_WITH_UNIT = re.compile(r"[-+]?(?:\d+\.?|\d*\.\d+)(?:[eE][-+]?\d+)?(\s*(?:[%°]|[^\W\d])\D*)")
 
 
 class ReadingWarning(UserWarning):
@@ -371,6 +372,13 @@ def unit_of(name: str) -> str:
     """Return the unit in brackets at the end of a name, "m" of "x (m)" or "x [m]", or ""."""
     found = _UNIT.search(name)
     return found[1] if found else ""
+
+
+def common_unit(cells: Iterable[str]) -> str:
+    """Return what follows the number in every cell, " V" of "3.2 V" and "-3 V", or ""."""
+    found = [_NUMBER_WITH_UNIT.fullmatch(cell) for cell in cells]
+    units = {match[1] if match else "" for match in found}
+    return units.pop() if len(units) == 1 else ""
 
 
 def bare_name(name: str) -> str:

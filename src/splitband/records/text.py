@@ -148,7 +148,8 @@ def check_different(names: Sequence[str]) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(
-            f"columns must have different names: {twice!r} stands {names.count(twice)} times"
+            f"columns must have different names: {twice!r} stands {names.count(twice)} times; "
+            "rename all but one of them in the file"
         )
 
 
