@@ -82,8 +82,7 @@ from splitband.forecasters.bands import OPEN
 from splitband.forecasters.held_out import TRAINING_SHARE
 from splitband.forecasters.network import Network
 from splitband.metrics import rmse
-from splitband.models.base import Signals
-from splitband.networks import rollout
+from splitband.models.base import FreeRun, Signals
 from splitband.records.public import drill_string
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
@@ -150,11 +149,14 @@ FIRST, SECOND, DRIFTING = "noise above", "wrong above", "drifting sensor"
 class NotHighPassed(models.FilteredModel):
     """Add L(simulator) and a network that is not high-passed, in one method other than (c)."""
 
-    def _high(self, filtered: Signals, steps: int) -> Tensor:
-        """Return the network's output as it is, warmed up on y - L(simulator)."""
+    def _run(self, filtered: Signals, steps: int) -> FreeRun:
+        """Warm up on y - L(simulator)."""
         assert filtered.y_sim is not None
-        left = filtered.y - filtered.y_sim[:, : filtered.y.shape[1]]
-        return rollout(self.cell, left, steps, filtered.u)
+        return filtered.y - filtered.y_sim[:, : filtered.y.shape[1]], steps, filtered.u
+
+    def _high(self, network: Tensor, filtered: Signals) -> Tensor:
+        """Return the network's output as it is."""
+        return network
 
     def stepped(self) -> Any:
         """Refuse to run sample by sample, which no arm needs."""

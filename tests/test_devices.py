@@ -37,7 +37,7 @@ def test_a_batch_of_nothing_has_gradients_of_zero(kind: str, nu: int, backend: B
 def test_what_was_measured_lies_where_the_target_does() -> None:
     """On a device without memory, as a GPU is not everywhere."""
     y = torch.zeros(40, 1, device="meta")
-    task = Task("network", GRU(3, 1), Signals(y), y, lambda known, steps: known.y)
+    task = Task("network", GRU(3, 1), Signals(y), y, lambda known, steps: (known.y, steps, None))
     assert targets(torch.ones(40, 1, dtype=torch.bool), task, 30, 10).device == y.device
 
 

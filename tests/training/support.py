@@ -12,6 +12,7 @@ from torch import Tensor
 
 from splitband import GRU, Record, TrainingSettings
 from splitband.models import Model, Recurrent, Signals, Task
+from splitband.models.base import FreeRun
 from splitband.runtime.arrays import Array
 from splitband.training import History, fit
 from splitband.training.optimizers import Adam
@@ -81,9 +82,9 @@ class Watched(Recurrent):
         self.batches: list[list[int]] = []
 
     def tasks(self, record: Signals) -> list[Task]:
-        def watched(simulate: Callable[[Signals, int], Tensor], known: Signals, steps: int) -> Any:
+        def watched(run: Callable[[Signals, int], FreeRun], known: Signals, steps: int) -> FreeRun:
             self.asked.append(steps)
             self.batches.append([round(float(y)) for y in known.y[:, 0, 0]])
-            return simulate(known, steps)
+            return run(known, steps)
 
-        return [replace(t, simulate=partial(watched, t.simulate)) for t in super().tasks(record)]
+        return [replace(t, run=partial(watched, t.run)) for t in super().tasks(record)]

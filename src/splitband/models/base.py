@@ -5,13 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias, cast
 
 import numpy as np
 
 from splitband.metrics import spread
 from splitband.models.stepping import Stepped
-from splitband.networks import Cell
+from splitband.networks import Cell, rollout
 from splitband.networks.layers import Tensor, nn, torch
 from splitband.records import Record
 from splitband.runtime.arrays import Array
@@ -33,6 +33,10 @@ class Signals:
         return Signals(function(self.y), u, y_sim)
 
 
+FreeRun: TypeAlias = tuple[Tensor, int, Tensor | None]
+"""What `rollout` takes: the measured samples of the warm-up, a number of samples, known inputs."""
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
     """The training of one network.
@@ -41,17 +45,36 @@ class Task:
     network : The network to train.
     known : Signals to cut windows from, aligned with the record.
     target : The desired output, `(time, ny)`, aligned with the record.
-    simulate : Maps the signals of a batch of windows, `y` over the warm-up only, and a number of
-        samples to the output, `(batch, samples, ny)`.
+    run : Maps the signals of a batch of windows, `y` over the warm-up only, and a number of samples
+        of the output to the network's free run.
     stride : The output holds every `stride`-th sample, the first right after the warm-up.
+    output : Maps the network's free run and the same two to the output, `(batch, samples, ny)`, of
+        which each sample is an affine function of the free run; by default it is the free run.
     """
 
     name: str
     network: nn.Module
     known: Signals
     target: Tensor
-    simulate: Callable[[Signals, int], Tensor]
+    run: Callable[[Signals, int], FreeRun]
     stride: int = 1
+    output: Callable[[Tensor, Signals, int], Tensor] | None = None
+
+    def simulate(self, known: Signals, steps: int) -> Tensor:
+        """Return the output of a batch of windows."""
+        free = rollout(cast("Cell", self.network), *self.run(known, steps))
+        return free if self.output is None else self.output(free, known, steps)
+
+    def tangent(self, slopes: Tensor, known: Signals, steps: int) -> Tensor:
+        """Return the derivatives of the output of one window by some parameters, `(n, steps, ny)`.
+
+        `slopes` are those of the network's free run.
+        """
+        if self.output is None:
+            return slopes
+        many = known.map(lambda signal: signal.expand(len(slopes), -1, -1))
+        without = self.output(torch.zeros_like(slopes[:1]), known, steps)
+        return self.output(slopes, many, steps) - without
 
 
 class Model(nn.Module, ABC):

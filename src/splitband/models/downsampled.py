@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from splitband.filters.resampling import Alignment, downsample, upsample
+from splitband.models.base import FreeRun
 from splitband.models.stepping import Run, SteppedCell
-from splitband.networks import Cell, rollout
+from splitband.networks import Cell
 from splitband.networks.layers import Tensor, nn, torch
 from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
@@ -31,8 +32,8 @@ class LowBand:
     k: int
     at_once: bool
 
-    def run(self, low: Tensor, steps: int, rows: Tensor | None) -> Tensor:
-        """Return `steps` samples at the network's rate, the first right after `low`.
+    def run(self, low: Tensor, steps: int, rows: Tensor | None) -> FreeRun:
+        """Return what `rollout` takes for samples at the network's rate, the first after `low`.
 
         `low` is the low band of the warm-up, `(batch, R, ny)`; `rows` are the network's inputs over
         warm-up and simulation, `(batch, R + samples, n)`.
@@ -40,17 +41,16 @@ class LowBand:
         offset = low.shape[1] % self.k
         if rows is not None and not self.at_once:
             rows = _mean_before(rows, self.k, offset)
-        return rollout(self.cell, downsample(low, self.k, offset), steps, rows)
+        return downsample(low, self.k, offset), steps, rows
 
-    def at_full_rate(
-        self, low: Tensor, steps: int, rows: Tensor | None, alignment: Alignment = "time"
-    ) -> Tensor:
-        """Return `steps` samples at the full rate, `(batch, steps, ny)`; arguments as for `run`."""
-        if self.k == 1:
-            return self.run(low, steps, rows)
+    def enough(self, low: Tensor, steps: int, rows: Tensor | None) -> FreeRun:
+        """Return what `rollout` takes for `steps` samples at the full rate; see `run`."""
         # Interpolation needs a low-band sample at or after the last time.
-        run = self.run(low, (steps - 2) // self.k + 2, rows)
-        return upsample(run, self.k, steps, alignment)
+        return self.run(low, steps if self.k == 1 else (steps - 2) // self.k + 2, rows)
+
+    def at_full_rate(self, free: Tensor, steps: int, alignment: Alignment = "time") -> Tensor:
+        """Return `steps` samples at the full rate, `(batch, steps, ny)`, of a free run."""
+        return free if self.k == 1 else upsample(free, self.k, steps, alignment)
 
 
 class SteppedLowBand:

@@ -11,6 +11,7 @@ import numpy as np
 from splitband.filters import ComplementaryPair
 from splitband.filters.resampling import check_downsampling
 from splitband.models.base import (
+    FreeRun,
     Model,
     Signals,
     Task,
@@ -128,7 +129,8 @@ class FilteredModel(Hybrid):
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return L(simulator) and H(network)."""
         filtered = self._low_passed(known)
-        low, high = _after_warmup(filtered, steps), self._high(filtered, steps)
+        network = rollout(self.cell, *self._run(filtered, steps))
+        low, high = _after_warmup(filtered, steps), self._high(network, filtered)
         return {f"{SIMULATOR}, low band": low, f"{NETWORK}, high band": high}
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -138,22 +140,24 @@ class FilteredModel(Hybrid):
 
     def tasks(self, record: Signals) -> list[Task]:
         """Return one task, the record (paper, Eq. 12, hybrid loss); L(simulator) filtered once."""
-        known = self._low_passed(record)
-        return [Task(NETWORK, as_module(self.cell), known, record.y, self._combined)]
+        known, cell = self._low_passed(record), as_module(self.cell)
+        return [Task(NETWORK, cell, known, record.y, self._run, output=self._combined)]
 
     def _low_passed(self, known: Signals) -> Signals:
         """Return the conditioned signals, with L(simulator) in place of the simulator's output."""
         return replace(self._conditioned(known), y_sim=self.pair.lowpass(_required(known)))
 
-    def _combined(self, filtered: Signals, steps: int) -> Tensor:
-        return self._high(filtered, steps) + _after_warmup(filtered, steps)
+    def _run(self, filtered: Signals, steps: int) -> FreeRun:
+        return filtered.y, steps, filtered.u
 
-    def _high(self, filtered: Signals, steps: int) -> Tensor:
+    def _combined(self, network: Tensor, filtered: Signals, steps: int) -> Tensor:
+        return self._high(network, filtered) + _after_warmup(filtered, steps)
+
+    def _high(self, network: Tensor, filtered: Signals) -> Tensor:
         """Return H(network); the filter starts from measured samples minus L(simulator)."""
         order, warmup = self.pair.order, filtered.y.shape[1]
         measured = filtered.y[:, warmup - order :]
         first = measured - _required(filtered)[:, warmup - order : warmup]
-        network = rollout(self.cell, filtered.y, steps, filtered.u)
         high = self.pair.highpass_from(torch.cat([measured, network], dim=1), first)
         return high[:, order:]
 
@@ -242,9 +246,9 @@ class FilteredHighModel(Hybrid):
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the network's low band and H(simulator)."""
-        known = self._high_passed(known)
-        low = self.low_band.at_full_rate(self.pair.lowpass(known.y), steps, self._of_low(known))
-        high = _after_warmup(known, steps)
+        network = rollout(self.cell, *self._run(known, steps))
+        low = self.low_band.at_full_rate(network, steps)
+        high = _after_warmup(self._high_passed(known), steps)
         return {f"{NETWORK}, low band": low, f"{SIMULATOR}, high band": high}
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -253,11 +257,16 @@ class FilteredHighModel(Hybrid):
 
     def tasks(self, record: Signals) -> list[Task]:
         """Return one task, the record (paper, Eq. 12, hybrid loss), windows filtered one by one."""
-        return [Task(NETWORK, as_module(self.cell), record, record.y, self._combined)]
+        cell = as_module(self.cell)
+        return [Task(NETWORK, cell, record, record.y, self._run, output=self._combined)]
 
-    def _combined(self, known: Signals, steps: int) -> Tensor:
-        low, high = self.components(known, steps).values()
-        return low + high
+    def _run(self, known: Signals, steps: int) -> FreeRun:
+        rows = self._of_low(self._high_passed(known))
+        return self.low_band.enough(self.pair.lowpass(known.y), steps, rows)
+
+    def _combined(self, network: Tensor, known: Signals, steps: int) -> Tensor:
+        high = _after_warmup(self._high_passed(known), steps)
+        return self.low_band.at_full_rate(network, steps) + high
 
     def _high_passed(self, known: Signals) -> Signals:
         """Return the signals with H(simulator) in place of the simulator's output."""
@@ -298,17 +307,17 @@ class ResidualModel(Hybrid):
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the outputs of the simulator and of the network."""
-        residual = self._simulate(self._conditioned(known), steps)
+        residual = rollout(self.cell, *_of_residual(self._conditioned(known), steps))
         return {SIMULATOR: _after_warmup(known, steps), NETWORK: residual}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Return one task, with the simulator's residual as the target."""
         known, target = self._conditioned(record), record.y - _required(record)
-        return [Task(NETWORK, as_module(self.cell), known, target, self._simulate)]
+        return [Task(NETWORK, as_module(self.cell), known, target, _of_residual)]
 
-    def _simulate(self, known: Signals, steps: int) -> Tensor:
-        warmup = known.y.shape[1]
-        return rollout(self.cell, known.y - _required(known)[:, :warmup], steps, known.u)
+
+def _of_residual(known: Signals, steps: int) -> FreeRun:
+    return known.y - _required(known)[:, : known.y.shape[1]], steps, known.u
 
 
 def _after_warmup(known: Signals, steps: int) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from splitband.models.base import Model, Signals, Task, as_module, inputs_of
+from splitband.models.base import FreeRun, Model, Signals, Task, as_module, inputs_of
 from splitband.models.stepping import Run, Stepped, SteppedCell
 from splitband.networks import Cell, rollout
 from splitband.networks.layers import Tensor
@@ -42,11 +42,11 @@ class Recurrent(Model):
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the network's free run."""
-        return {"network": self._simulate(known, steps)}
+        return {"network": rollout(self.cell, *self._run(known, steps))}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Return one task, with the record as the target."""
-        return [Task("network", as_module(self.cell), record, record.y, self._simulate)]
+        return [Task("network", as_module(self.cell), record, record.y, self._run)]
 
-    def _simulate(self, known: Signals, steps: int) -> Tensor:
-        return rollout(self.cell, known.y, steps, self._rows(known.u))
+    def _run(self, known: Signals, steps: int) -> FreeRun:
+        return known.y, steps, self._rows(known.u)

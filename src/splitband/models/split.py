@@ -11,6 +11,7 @@ import numpy as np
 from splitband.filters import ComplementaryPair
 from splitband.filters.resampling import Alignment, check_downsampling
 from splitband.models.base import (
+    FreeRun,
     Model,
     Signals,
     Task,
@@ -172,9 +173,10 @@ class SplitModel(Model):
         low, high = bands.y.split(self.ny, dim=-1)
         known = record if self.own_warmup else bands
         slow, fast = self.networks
+        high_passed = self._high_in_training if self.filter_output else None
         return [
-            Task(LOW, slow, known, low, self.slow_in_training, self.downsampling),
-            Task(HIGH, fast, known, high, self.high_in_training),
+            Task(LOW, slow, known, low, self._slow_in_training, self.downsampling),
+            Task(HIGH, fast, known, high, self._fast_in_training, output=high_passed),
         ]
 
     def _bands(self, known: Signals) -> Signals:
@@ -190,14 +192,15 @@ class SplitModel(Model):
             low = [self.pair.lowpass(self.normalised(record).y) for record in records]
             self.slope_scale[0].copy_(slope_scale(low, driven=self.nu > 0))
 
-    def slow_run(self, known: Signals, steps: int) -> Tensor:
-        """Return `steps` samples of the low band at its rate, the first right after the warm-up."""
+    def slow_run(self, known: Signals, steps: int) -> FreeRun:
+        """Return the free run of the low band at its rate, the first right after the warm-up."""
         return self.low_band.run(known.y[..., : self.ny], steps, self._of_low(known.u))
 
     def low(self, known: Signals, steps: int) -> Tensor:
         """Return `steps` samples of the low band at the full rate."""
         low, rows = known.y[..., : self.ny], self._of_low(known.u)
-        return self.low_band.at_full_rate(low, steps, rows, self.alignment)
+        free = rollout(self.slow, *self.low_band.enough(low, steps, rows))
+        return self.low_band.at_full_rate(free, steps, self.alignment)
 
     def _of_low(self, u: Tensor | None) -> Tensor | None:
         """Return the slow network's inputs by sample or, `at_once`, by step."""
@@ -205,30 +208,43 @@ class SplitModel(Model):
 
     def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
         """Return `steps` samples of the high band, given the low one."""
+        return self._filtered(rollout(self.fast, *self._fast_run(known, steps, low)), known)
+
+    def _fast_run(self, known: Signals, steps: int, low: Tensor) -> FreeRun:
         before, history = known.y.split(self.ny, dim=-1)
         u = self._rows(known.u)
         if self.conditioned:
             whole = torch.cat([before, low], dim=1)
             u = concat_inputs(u, conditioning(whole, self.slope_scale[0], driven=self.nu > 0))
-        y = rollout(self.fast, history, steps, u)
+        return history, steps, u
+
+    def _filtered(self, fast: Tensor, known: Signals) -> Tensor:
+        """Return the fast network's output, high-passed where the model does so."""
         if not self.filter_output:
-            return y
+            return fast
+        history = known.y[..., self.ny :]
         # A zero-phase filter would let an input act on earlier samples.
         pair = self.pair.one_way() if self.nu else self.pair
         # The filter begins in the history and has settled at the first prediction.
-        return pair.highpass(torch.cat([history, y], dim=1))[:, history.shape[1] :]
+        return pair.highpass(torch.cat([history, fast], dim=1))[:, history.shape[1] :]
 
-    def slow_in_training(self, known: Signals, steps: int) -> Tensor:
-        """Return the low band at its rate after the warm-up of a training window."""
-        return self.slow_run(self._bands(known) if self.own_warmup else known, steps)
+    def _in_training(self, known: Signals) -> Signals:
+        """Return the signals of training windows, with both bands."""
+        return self._bands(known) if self.own_warmup else known
 
-    def high_in_training(self, known: Signals, steps: int) -> Tensor:
-        """Return the high band, given the slow network's low band, which has no gradient."""
-        known = self._bands(known) if self.own_warmup else known
+    def _slow_in_training(self, known: Signals, steps: int) -> FreeRun:
+        return self.slow_run(self._in_training(known), steps)
+
+    def _high_in_training(self, fast: Tensor, known: Signals, steps: int) -> Tensor:
+        return self._filtered(fast, self._in_training(known))
+
+    def _fast_in_training(self, known: Signals, steps: int) -> FreeRun:
+        """Return the free run in the high band, given the low one, which has no gradient."""
+        known = self._in_training(known)
         low = known.y[:, :0, : self.ny]
         if self.conditioned:
             # The fast network may be in float64 while the slow one is in float32.
             dtype = next(as_module(self.slow).parameters()).dtype
             with torch.no_grad():
                 low = self.low(known.map(lambda signal: signal.to(dtype)), steps).to(low.dtype)
-        return self.high(known, steps, low)
+        return self._fast_run(known, steps, low)

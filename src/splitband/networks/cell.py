@@ -3,8 +3,9 @@
 Any `nn.Module` with the methods of `Cell` and `Template` works wherever a `GRU` does. State is
 passed and returned, never kept on the module. The cells of this package have further, optional
 members: `label` and `words` (names in tables and sentences), `variants` and `size_in_words`
-(sizes that a search may try), `stable`, `penalised`, `in_numpy` (streams and exports), `fusable`
-and `fused_rollout` (a compiled kernel).
+(sizes that a search may try), `stable`, `penalised`, `in_numpy` (streams and exports), and compiled
+kernels: `fusable`, `fused_rollout`, and `fused_jacobian`, with which it is trained by
+Levenberg-Marquardt.
 """
 
 from __future__ import annotations

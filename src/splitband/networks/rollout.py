@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal, get_args
+from collections.abc import Callable, Iterator
+from typing import Any, Literal, cast, get_args
 
 from splitband.networks.cell import Cell
 from splitband.networks.layers import Tensor, torch
+from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
 Backend = Literal["auto", "plain", "fused"]
@@ -46,7 +47,7 @@ def rollout(
     warmup = y_warmup.shape[1]
     if backend not in get_args(Backend):
         raise InputError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
-    fused = _kernel(cell, y_warmup, steps, u)
+    fused = _kernel(cell, "fused_rollout", y_warmup, steps, u)
     if backend == "fused" and fused is None:
         raise InputError(
             f'backend="fused" needs a cell with a kernel, the CPU, float32 or float64 throughout '
@@ -73,20 +74,33 @@ def free_run(cell: Cell, h: Any, steps: int, u: Tensor | None = None) -> tuple[T
     return torch.stack(samples[:steps], dim=1) if steps else y[:, None][:, :0], h
 
 
-def _kernel(
-    cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None
-) -> Callable[..., Tensor] | None:
-    """Return the cell's fused rollout if its results are those of the loop, else None.
+def jacobians(
+    cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None = None
+) -> Iterator[Array] | None:
+    """Return the derivatives of the rollout by each of the cell's `parameters()`, row by row.
 
-    A subclass may step differently: it has to declare `fused_rollout` itself.
+    Of each row an array `(steps, ny, parameters)`, which the next row overwrites; None where no
+    compiled kernel computes them. Arguments as for `rollout`.
     """
-    if "fused_rollout" not in vars(type(cell)) or not cell.fusable():  # type: ignore[attr-defined]
+    _check(cell, y_warmup, steps, u)
+    fused = _kernel(cell, "fused_jacobian", y_warmup, steps, u)
+    return None if fused is None else fused(y_warmup, steps, u)
+
+
+def _kernel(
+    cell: Cell, name: str, y_warmup: Tensor, steps: int, u: Tensor | None
+) -> Callable[..., Any] | None:
+    """Return a cell's method that is compiled if its results are those of the loop, else None.
+
+    A subclass may step differently: it has to declare the method itself.
+    """
+    if name not in vars(type(cell)) or not cell.fusable():  # type: ignore[attr-defined]
         return None
     given = y_warmup if u is None else u
     dtypes = {x.dtype for x in (y_warmup, given, *cell.parameters())}  # type: ignore[attr-defined]
     served = y_warmup.device.type == "cpu" and steps > 0 and len(dtypes) == 1
     if served and dtypes <= {torch.float32, torch.float64}:
-        return cell.fused_rollout  # type: ignore[attr-defined]
+        return cast("Callable[..., Any]", getattr(cell, name))
     return None
 
 

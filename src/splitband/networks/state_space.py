@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -262,6 +263,30 @@ class StateSpace(WithRepr, nn.Module):
         weights = (*units, *out, self.gain)
         return state_space_rollout(x0, y_warmup, steps, u, *weights)
 
+    def fused_jacobian(
+        self, y_warmup: Tensor, steps: int, u: Tensor | None = None
+    ) -> Iterator[Array]:
+        """Yield for each row the derivatives of its rollout by `parameters()`, in float64.
+
+        Of the shape `(steps, ny, parameters)`; the array is used again for the next row.
+        """
+        from splitband.kernels.state_space_jacobian import jacobian  # noqa: PLC0415  numba is slow to load
+
+        batch, warmup, _ = y_warmup.shape
+        u = y_warmup.new_empty(batch, warmup + steps, 0) if u is None else u
+        encoded = torch.cat([y_warmup[:, : self.encoded], u[:, : self.encoded]], dim=-1).flatten(1)
+        rows = map(_double, (encoded, self.first_state(y_warmup, u), y_warmup, u))
+        none = [np.empty((0, self.states + self.nu)), np.empty(0)]
+        f, g, moves, out = (
+            [*map(_double, layers.parameters())] or none
+            for layers in (self.f, self.g, self.transition, self.observation)
+        )
+        weights = (*f, *g, *moves, *out, _double(self.gain))
+        slopes = np.empty((steps, self.ny, sum(p.numel() for p in self.parameters())))
+        for row in zip(*rows, strict=True):
+            jacobian(row, weights, slopes)
+            yield slopes
+
     def _layers(self, width: int) -> nn.Sequential:
         """Return the hidden layers of f or g."""
         layers: list[nn.Module] = []
@@ -285,6 +310,10 @@ class StateSpace(WithRepr, nn.Module):
     def _with_output(self, x: Tensor, u: Tensor | None) -> Tensor:
         """Return the state of the cell, [x, the predicted y]."""
         return torch.cat([x, _mixed(self.g, self.observation, x, u)], dim=-1)
+
+
+def _double(weight: Tensor) -> Array:
+    return weight.detach().double().contiguous().numpy()
 
 
 def _mixed(layers: nn.Sequential, out: nn.Linear, x: Tensor, u: Tensor | None) -> Tensor:

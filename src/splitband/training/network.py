@@ -13,7 +13,7 @@ from splitband.models import Task
 from splitband.networks.cell import Penalised
 from splitband.runtime.deadlines import Deadline
 from splitband.runtime.threads import one_torch_thread
-from splitband.training import lbfgs
+from splitband.training import lbfgs, levenberg
 from splitband.training.optimizers import Adam
 from splitband.training.settings import ROUND, TrainingSettings
 from splitband.training.windows import WindowSet, select, targets, windows
@@ -44,7 +44,7 @@ class NetworkTraining:
     ) -> None:
         self.deadline = deadline
         self.passes = settings.epochs + settings.rounds
-        """Epochs, and rounds of L-BFGS after them."""
+        """Epochs, and rounds on all windows after them."""
         self.cut = False
         """Whether the deadline has come before the end of the training."""
         self.task, self.settings, self.starts = task, settings, chosen.starts
@@ -62,10 +62,8 @@ class NetworkTraining:
         self.losses: list[float] = []
         self.restarts: list[int] = []
         """Epochs repeated after divergence, with half the learning rate."""
-        self.finish: lbfgs.Lbfgs | None = None
+        self.finish: lbfgs.Lbfgs | levenberg.Levenberg | None = None
         self._given_dtype = self._dtype
-        if settings.lbfgs_iterations:
-            self.finish = self._lbfgs()
 
     @property
     def notes(self) -> list[str]:
@@ -96,16 +94,17 @@ class NetworkTraining:
         return self.done or self.cut
 
     def advance(self) -> None:
-        """Train for one epoch or, when all epochs are over, for one round of L-BFGS.
+        """Train for one epoch or, when all epochs are over, for one round on all windows.
 
         At least one gradient step is taken, even after the deadline: its loss is needed.
         """
         if self.losses and self.deadline.over:
             self.cut = True
             return
-        if self.finish is None or len(self.losses) < self.settings.epochs:
+        if len(self.losses) < self.settings.epochs or not self.settings.lbfgs_iterations:
             self.epoch()
             return
+        self.finish = self.finish or self._finish()
         self.losses.append(self.finish.round())
         self.cut = self.finish.cut
         if self.finish.settled and self._dtype != torch.float64:
@@ -193,12 +192,27 @@ class NetworkTraining:
             self.end()
             self.finish = settled
 
-    def _lbfgs(self) -> lbfgs.Lbfgs:
+    def _chosen(self) -> Tensor:
+        """Return the first samples of the windows of a round."""
         settings = self.settings
-        chosen = lbfgs.end_to_end(
-            self.starts, settings.window, settings.warmup, settings.max_samples
+        return lbfgs.end_to_end(self.starts, settings.window, settings.warmup, settings.max_samples)
+
+    def _finish(self) -> lbfgs.Lbfgs | levenberg.Levenberg:
+        """Return what trains on all windows."""
+        chosen, measured = self._chosen(), self.measured
+        self.task.network.to(torch.float64)
+        windows = levenberg.Windows(
+            select(self.known, chosen).map(Tensor.double),
+            self.target[chosen].double(),
+            None if measured is None else measured[chosen],
         )
-        error = partial(self._mean_square, chosen)
+        if levenberg.suits(self.task, windows):
+            return levenberg.Levenberg(self.task, windows, self.settings.l2, self.deadline)
+        self.end()
+        return self._lbfgs()
+
+    def _lbfgs(self) -> lbfgs.Lbfgs:
+        error = partial(self._mean_square, self._chosen())
         return lbfgs.Lbfgs([*self.task.network.parameters()], error, self.deadline)
 
     def _mean_square(self, starts: Tensor) -> Tensor:
