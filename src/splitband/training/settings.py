@@ -51,7 +51,9 @@ class TrainingSettings(WithRepr):
     growth : Share of the training in which the free run grows from a tenth to its full length.
     normalize : Scale channels by mean and standard deviation of the training record.
     max_batches : Largest number of steps per epoch, with windows drawn anew for every epoch.
-    lbfgs_iterations : Iterations of L-BFGS after the epochs, at most. See `training.lbfgs`.
+    lbfgs_iterations : Iterations of L-BFGS after the epochs, at most. See `training.lbfgs`. A
+        state-space network on many samples takes a step of Levenberg-Marquardt in place of ten, see
+        `training.levenberg`.
     max_samples : Largest number of samples in an iteration of L-BFGS, warm-ups included; of more
         windows, evenly spaced ones are used.
     l2 : Weight of the sum of squared weights in the loss, relative to the mean squared error
@@ -162,7 +164,7 @@ class TrainingSettings(WithRepr):
     def steps_in_words(self) -> str:
         """Describe the length of the training, for tables."""
         epochs = f"{self.epochs} epoch{'s' if self.epochs > 1 else ''}"
-        finish = f"L-BFGS {self.lbfgs_iterations}" if self.lbfgs_iterations else ""
+        finish = f"{self.lbfgs_iterations} iterations" if self.lbfgs_iterations else ""
         l2 = f"l2 {self.l2:g}" if self.l2 else ""
         random = "" if self.linear_start else "from random weights"
         return ", ".join(filter(None, [random, epochs if self.epochs else "", finish, l2]))
@@ -284,7 +286,7 @@ class History:
     """The losses by task, and the run time of a training."""
 
     losses: dict[str, list[float]] = field(default_factory=dict)
-    """The mean losses of epochs, then of rounds of L-BFGS, in one unit."""
+    """The mean losses of epochs, then of rounds on all windows, in one unit."""
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)
     """Failures in training, in words."""
