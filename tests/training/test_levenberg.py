@@ -105,7 +105,7 @@ def test_steps_that_are_not_finite_are_made_shorter() -> None:
     torch.manual_seed(0)
     model = Recurrent(cell()).double()
     with torch.no_grad():
-        model.cell.transition.weight[:, :2] = 1.4 * torch.eye(2)  # type: ignore[union-attr]
+        model.cell.transition.weight[:, :2] = 1.4 * torch.eye(2)  # type: ignore[attr-defined]
     (task,) = model.tasks(Signals(torch.randn(90, 1).double()))
     finish = Levenberg(task, windows_of(task), 0.0, Deadline())
     first = finish._mean_square(finish._weights())

@@ -97,17 +97,19 @@ def run_until(deadline: Deadline, job: Job) -> Fit:
 def compile_kernels(
     cell: Any, rows: int, dtype: str = "float32", with_gradient: bool = True
 ) -> None:
-    """Run a cell on a batch of so many rows, forward and back, which compiles its kernels."""
+    """Run a cell on a batch of so many rows and differentiate it, which compiles its kernels."""
     import torch  # noqa: PLC0415  in a worker
 
-    from splitband.networks import rollout  # noqa: PLC0415
+    from splitband.networks.rollout import jacobians, rollout  # noqa: PLC0415
 
     kind = getattr(torch, dtype)
     y, u = torch.zeros(rows, 4, 1, dtype=kind), torch.zeros(rows, 12, 2, dtype=kind)
+    network = cell.sized(1, 2, 4).to(kind)
     with torch.set_grad_enabled(with_gradient):
-        simulated = rollout(cell.sized(1, 2, 4).to(kind), y, 8, u)
+        simulated = rollout(network, y, 8, u)
     if with_gradient:
         simulated.sum().backward()
+        next(jacobians(network, y, 8, u) or iter(()), None)
 
 
 def compile_filter() -> None:
