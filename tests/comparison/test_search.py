@@ -90,16 +90,6 @@ def test_every_method_has_a_round_before_any_has_two() -> None:
     assert {settings_of(job).lbfgs_iterations for job in first} == {FIRST_ROUND}
 
 
-@pytest.mark.parametrize(("times", "tried"), [(1.9, {"state-space", "gru"}), (2.1, {"gru"})])
-def test_one_training_does_not_decide_against_a_method_that_is_close(
-    times: float, tried: set[str]
-) -> None:
-    search = searching(["state-space", "gru"])
-    trainer = Trainer(lambda job, n: times if job.method == "state-space" else 1.0)
-    trainer.run(search, 2)
-    assert {job.method for job in trainer.rounds[1]} == tried
-
-
 def test_the_better_half_goes_on_from_its_weights_for_four_times_as_long() -> None:
     search = searching(["state-space"])
     trainer = Trainer(lambda job, n: (1 + settings_of(job).window / 1000) * 0.5**n)

@@ -38,9 +38,6 @@ LEAST_MEMBERS = 3
 """Smallest number of trainings in the median on records of up to `SHORT_RECORD` samples: the median
 of fewer is their mean, which one of them can spoil. On longer ones, held-out errors tell which
 training is best (docs/developers/rules.md)."""
-CLOSE = 2.0
-"""Times the lowest error, up to which the first choice of a method does not tell that its other
-choices are no better."""
 GIVEN_SEEDS = 3
 """Default number of trainings of a network whose settings are given."""
 
@@ -241,18 +238,11 @@ class Search:
             yield found
 
     def _further_choices(self, firsts: Sequence[Candidate]) -> list[Candidate]:
-        """Return further choices of the better half of the methods, and of others that are close.
-
-        As many as time allows.
-        """
+        """Return further choices of the better half of the methods, as time allows."""
         # A method that was added has not had its first one yet.
         found = [own[0] for own in self._choices.values() if own[0] not in firsts]
         left = MOST_OF_TIME_LEFT * self._left * self._cores
-        better = _better(firsts)
-        close = CLOSE * better[0].score if better else 0.0
-        for first in _ranked(firsts):
-            if first not in better and first.score > close:
-                break
+        for first in _better(firsts):
             for choice in self._choices[first.method][1:]:
                 left -= first.seconds
                 if left < 0:
