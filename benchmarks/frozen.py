@@ -10,7 +10,8 @@ says once exported to C. A change that should alter no number is one after which
 "equal"; the others name what differs and by how much. Rounding differs between processors, so that
 no number is stored. `--list` compares all records and, where all are equal, adds the hashes of both
 sources to those for which stored runs of either are current (`benchmarks.claims`). A change that
-is to alter some records names them by `--but`: the list then holds for runs of all other records.
+is to alter some records names them by `--but`, those of `benchmarks.clock` that are not compared
+here, too: the list then holds for runs of all other records.
 """
 
 from __future__ import annotations
@@ -139,6 +140,7 @@ def main() -> None:
             lines.append(f"{name}: {'; '.join(differ) or f'equal ({len(found[0])} facts)'}")
             print(lines[-1], flush=True)
         if given.list and {*others} <= {*given.but}:
+            others += [name for name in given.but if name not in given.records]  # not compared
             list_as_equal(given.commit, hashes, lines, others)
     sys.exit(bool({*others} - {*given.but}))
 
