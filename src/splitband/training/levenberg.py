@@ -46,6 +46,10 @@ class Windows(NamedTuple):
     target: Tensor
     measured: Tensor | None
 
+    def double(self) -> Windows:
+        """Return the windows in float64."""
+        return Windows(self.known.map(Tensor.double), self.target.double(), self.measured)
+
 
 class _Point(NamedTuple):
     """Hold the mean square at some weights, with half its gradient and half its curvature."""

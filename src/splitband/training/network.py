@@ -200,16 +200,15 @@ class NetworkTraining:
     def _finish(self) -> lbfgs.Lbfgs | levenberg.Levenberg:
         """Return what trains on all windows."""
         chosen, measured = self._chosen(), self.measured
-        self.task.network.to(torch.float64)
         windows = levenberg.Windows(
-            select(self.known, chosen).map(Tensor.double),
-            self.target[chosen].double(),
+            select(self.known, chosen),
+            self.target[chosen],
             None if measured is None else measured[chosen],
         )
-        if levenberg.suits(self.task, windows):
-            return levenberg.Levenberg(self.task, windows, self.settings.l2, self.deadline)
-        self.end()
-        return self._lbfgs()
+        if not levenberg.suits(self.task, windows):
+            return self._lbfgs()
+        self.task.network.to(torch.float64)
+        return levenberg.Levenberg(self.task, windows.double(), self.settings.l2, self.deadline)
 
     def _lbfgs(self) -> lbfgs.Lbfgs:
         error = partial(self._mean_square, self._chosen())
