@@ -23,6 +23,7 @@ from splitband.filters import tensors
 from splitband.kernels import common, ode, rollouts
 from splitband.kernels import matmul as products
 from splitband.kernels.recurrence import recurrence
+from splitband.kernels.state_space_jacobian import jacobian
 from splitband.kernels.terms import evaluate
 
 
@@ -142,8 +143,8 @@ def test_doctor_compiles_every_kernel_in_every_precision(monkeypatch: pytest.Mon
     values = [value for module in modules for value in vars(module).values()]
     compiled: list[Any] = [value for value in values if isinstance(value, Dispatcher)]
     kept = [value for value in compiled if isinstance(value._cache, FunctionCache)]
-    # Filters know no other, and terms are compiled with the solver of equations.
-    precisions = {recurrence: ["float64"], evaluate: []}
+    # Filters and derivatives know no other, and terms are compiled with the solver of equations.
+    precisions = {recurrence: ["float64"], jacobian: ["float64"], evaluate: []}
     expected = {
         (each, name) for each in kept for name in precisions.get(each, ["float32", "float64"])
     }

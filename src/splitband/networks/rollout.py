@@ -79,7 +79,7 @@ def jacobians(
 ) -> Iterator[Array] | None:
     """Return the derivatives of the rollout by each of the cell's `parameters()`, row by row.
 
-    Of each row an array `(steps, ny, parameters)`, which the next row overwrites; None where no
+    Of each row an array `(steps, ny, parameters)`, which a later row overwrites; None where no
     compiled kernel computes them. Arguments as for `rollout`.
     """
     _check(cell, y_warmup, steps, u)

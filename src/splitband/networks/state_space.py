@@ -268,24 +268,28 @@ class StateSpace(WithRepr, nn.Module):
     ) -> Iterator[Array]:
         """Yield for each row the derivatives of its rollout by `parameters()`, in float64.
 
-        Of the shape `(steps, ny, parameters)`; the array is used again for the next row.
+        Of the shape `(steps, ny, parameters)`; the array is used again for a later row.
         """
-        from splitband.kernels.state_space_jacobian import jacobian  # noqa: PLC0415  numba is slow to load
+        from splitband.kernels.rollouts import run_jobs  # noqa: PLC0415  numba is slow to load
+        from splitband.kernels.state_space_jacobian import jacobian  # noqa: PLC0415
 
         batch, warmup, _ = y_warmup.shape
         u = y_warmup.new_empty(batch, warmup + steps, 0) if u is None else u
         encoded = torch.cat([y_warmup[:, : self.encoded], u[:, : self.encoded]], dim=-1).flatten(1)
-        rows = map(_double, (encoded, self.first_state(y_warmup, u), y_warmup, u))
+        signals = map(_double, (encoded, self.first_state(y_warmup, u), y_warmup, u))
+        rows, together = [*zip(*signals, strict=True)], max(1, min(torch.get_num_threads(), batch))
         none = [np.empty((0, self.states + self.nu)), np.empty(0)]
         f, g, moves, out = (
             [*map(_double, layers.parameters())] or none
             for layers in (self.f, self.g, self.transition, self.observation)
         )
         weights = (*f, *g, *moves, *out, _double(self.gain))
-        slopes = np.empty((steps, self.ny, sum(p.numel() for p in self.parameters())))
-        for row in zip(*rows, strict=True):
-            jacobian(row, weights, slopes)
-            yield slopes
+        count = sum(p.numel() for p in self.parameters())
+        slopes = np.empty((together, steps, self.ny, count))
+        for i in range(0, batch, together):
+            jobs = [(row, weights, of_row) for row, of_row in zip(rows[i:], slopes, strict=False)]
+            run_jobs(jacobian, jobs)
+            yield from slopes[: len(jobs)]
 
     def _layers(self, width: int) -> nn.Sequential:
         """Return the hidden layers of f or g."""
