@@ -18,7 +18,7 @@ from splitband.models import (
     SplitModel,
     Task,
 )
-from splitband.runtime.deadlines import Deadline
+from splitband.runtime.deadlines import NEVER, Deadline
 from splitband.training.levenberg import ENOUGH, Levenberg, Windows
 from splitband.training.network import NetworkTraining
 from splitband.training.windows import select, windows, windows_in
@@ -120,7 +120,9 @@ def a_record(samples: int) -> Record:
     return Record(y, 1.0, u=u)
 
 
-def training(samples: int, deadline: Deadline, template: StateSpace) -> NetworkTraining:
+def training(
+    samples: int, template: StateSpace, driven: bool = True, deadline: Deadline = NEVER
+) -> NetworkTraining:
     record = a_record(samples)
     torch.manual_seed(0)
     model = Recurrent(template.sized(1, 2, WARMUP), feedthrough=True)
@@ -129,21 +131,23 @@ def training(samples: int, deadline: Deadline, template: StateSpace) -> NetworkT
         window=50, warmup=WARMUP, epochs=1, max_batches=2, lbfgs_iterations=60
     )
     (task,) = model.tasks(model.normalised(record))
-    return NetworkTraining(task, windows_in([record], 50, WARMUP), settings, 0, deadline)
+    chosen = windows_in([record], 50, WARMUP)
+    return NetworkTraining(task, chosen, settings, 0, deadline, driven)
 
 
 @pytest.mark.parametrize(
-    ("samples", "template", "trained"),
+    ("samples", "template", "driven", "trained"),
     [
-        (4000, StateSpace(2, 2), True),
-        (30 * ENOUGH, StateSpace(2, 2), False),
-        (4000, StateSpace(2, 2, layers=2), False),
+        (4000, StateSpace(2, 2), True, True),
+        (30 * ENOUGH, StateSpace(2, 2), True, False),
+        (4000, StateSpace(2, 2, layers=2), True, False),
+        (4000, StateSpace(2, 2), False, False),
     ],
 )
-def test_networks_with_a_kernel_and_enough_samples(
-    samples: int, template: StateSpace, trained: bool
+def test_it_trains_networks_with_inputs_a_kernel_and_enough_samples(
+    samples: int, template: StateSpace, driven: bool, trained: bool
 ) -> None:
-    found = training(samples, Deadline(), template)
+    found = training(samples, template, driven)
     while not found.over:
         found.advance()
     assert isinstance(found.finish, Levenberg) == trained
@@ -153,7 +157,7 @@ def test_networks_with_a_kernel_and_enough_samples(
 
 
 def test_at_the_deadline_it_ends_with_the_best_weights() -> None:
-    found = training(4000, Deadline(), StateSpace(2, 2))
+    found = training(4000, StateSpace(2, 2))
     for _ in range(2):
         found.advance()
     assert isinstance(found.finish, Levenberg)

@@ -51,7 +51,7 @@ def fit(
     for done, task in enumerate(tasks):
         # All networks get the same seed: a training does not depend on the other ones.
         deadline = Deadline.after(current().left / (len(tasks) - done))
-        training = NetworkTraining(task, chosen, settings, seed, deadline)
+        training = NetworkTraining(task, chosen, settings, seed, deadline, driven=model.nu > 0)
         losses = history.losses[task.name] = training.losses
         with freed_memory_kept():
             while not training.over:

@@ -41,8 +41,11 @@ class NetworkTraining:
         settings: TrainingSettings,
         seed: int,
         deadline: Deadline,
+        driven: bool = False,
     ) -> None:
         self.deadline = deadline
+        self.driven = driven
+        """Whether the system has known inputs."""
         self.passes = settings.epochs + settings.rounds
         """Epochs, and rounds on all windows after them."""
         self.cut = False
@@ -199,6 +202,8 @@ class NetworkTraining:
 
     def _finish(self) -> lbfgs.Lbfgs | levenberg.Levenberg:
         """Return what trains on all windows."""
+        if not self.driven:
+            return self._lbfgs()
         chosen, measured = self._chosen(), self.measured
         windows = levenberg.Windows(
             select(self.known, chosen),
