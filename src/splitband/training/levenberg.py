@@ -2,8 +2,8 @@
 
 Not in the paper. For a network with few weights and a kernel for their derivatives, a step takes
 the time of about ten iterations of L-BFGS, and near a minimum it is worth hundreds (Nocedal and
-Wright, Numerical Optimization, 2006, Sec. 10.3). Without known inputs, where noise is all that
-drives a system, iterations of either are worth the same, and those of L-BFGS take less time. All weights have the same damping: with one by
+Wright, Numerical Optimization, 2006, Sec. 10.3). Without known inputs noise is most of what drives
+a network, and iterations of both are worth the same. All weights have the same damping: with one by
 their curvature, tanh units that do little yet would move far. It follows how well the quadratic
 model has told the decrease of the error (Nielsen, Damping Parameter in Marquardt's Method, 1999).
 """
