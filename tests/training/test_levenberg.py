@@ -101,17 +101,22 @@ def test_it_finds_the_minimum_that_scipy_finds() -> None:
     assert errors[-1] < 0.05 * errors[0]
 
 
-def test_steps_that_are_not_finite_are_made_shorter() -> None:
+@pytest.mark.parametrize("pole", [1.4, 1e8])
+def test_where_a_state_grows_without_bound_the_error_does_not(pole: float) -> None:
+    """With the larger pole the error, and its derivatives, are not finite to begin with."""
     torch.manual_seed(0)
     model = Recurrent(cell()).double()
     with torch.no_grad():
-        model.cell.transition.weight[:, :2] = 1.4 * torch.eye(2)  # type: ignore[attr-defined]
+        model.cell.transition.weight[:, :2] = pole * torch.eye(2)  # type: ignore[attr-defined]
     (task,) = model.tasks(Signals(torch.randn(90, 1).double()))
     finish = Levenberg(task, windows_of(task), 0.0, Deadline())
-    first = finish._mean_square(finish._weights())
+    before = finish._weights()
+    first = finish._mean_square(before)
     for _ in range(5):
         finish.round()
-    assert finish._mean_square(finish._weights()) < first
+    assert finish.settled == np.isinf(first)
+    assert finish._mean_square(finish._weights()) < first or finish.settled
+    assert np.isfinite(finish._weights()).all()
 
 
 def a_record(samples: int) -> Record:

@@ -117,6 +117,8 @@ class Levenberg:
 
     def _step(self, point: _Point) -> float:
         """Go to the first damped minimum of the quadratic model that lowers the mean square."""
+        if not np.isfinite(point.curvature).all():  # a state has grown without bound
+            return point.mean_square
         weights, growth = self._weights(), 2.0
         unit = float(point.curvature.diagonal().max()) or 1.0
         while self._damping < _MOST:
@@ -145,7 +147,7 @@ class Levenberg:
         steps, weights = target.shape[1], self._weights()
         errors = self._errors()
         curvature, gradient = np.zeros((len(weights), len(weights))), np.zeros(len(weights))
-        with torch.no_grad():
+        with torch.no_grad(), np.errstate(over="ignore", invalid="ignore"):
             slopes = _slopes(task, self._windows)
             assert slopes is not None
             for i, free in enumerate(slopes):
@@ -174,17 +176,19 @@ class Levenberg:
         return (errors if measured is None else errors * measured).numpy()
 
     def _mean_square(self, weights: Array) -> float:
-        """Return the objective at some weights, infinite where a state grows without bound."""
+        """Return the objective at some weights."""
         before = self._weights()
         self._put(weights)
         found = self._of(self._errors(), weights)
         self._put(before)
-        return found if np.isfinite(found) else np.inf
+        return found
 
     def _of(self, errors: Array, weights: Array) -> float:
+        """Return the objective for some errors, infinite where a state has grown without bound."""
         with np.errstate(over="ignore", invalid="ignore"):
             square = float(np.square(errors).sum()) / _count(self._windows)
-        return square + float(self._penalty @ np.square(weights))
+        found = square + float(self._penalty @ np.square(weights))
+        return found if np.isfinite(found) else np.inf
 
     def _penalised(self) -> Array:
         """Return 1 for each weight with a penalty, 0 for the others."""
