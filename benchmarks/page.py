@@ -117,11 +117,11 @@ def of_short(out: Path = OUT) -> str:
             of = runs.get((name, asked, 0), [])
             errors = [row["errors"][0] for row in of]
             ratios[asked] += [statistics.median(errors) / GRU_ALONE[system]] if errors else []
-            cells += [spread(errors, 100) + claims.sign(of), clock.recommended(of)]
+            cells += [spread(errors, 100) + claims.sign(of), clock.recommended(of), str(len(of))]
         lines.append(cells)
-    means = [[f"{statistics.geometric_mean(ratios[asked]):.2f}", ""] for asked in budgets]
+    means = [[f"{statistics.geometric_mean(ratios[asked]):.2f}", "", ""] for asked in budgets]
     lines.append(["geometric mean of the ratios to the GRU", "1", *itertools.chain(*means)])
-    heads = [[f"`--budget {asked:g}s`, %", "recommended"] for asked in budgets]
+    heads = [[f"`--budget {asked:g}s`, %", "recommended", "seeds"] for asked in budgets]
     of_heads = ["system", "GRU alone, %", *itertools.chain(*heads)]
     return table(of_heads, lines) + claims.note(rows)
 
