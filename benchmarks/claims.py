@@ -124,8 +124,8 @@ def _where(rows: Iterable[Row]) -> str:
     """Return commits and machines of runs in words."""
     rows = [*rows]
     commits = [*dict.fromkeys(filter(None, (row.get("commit") for row in rows)))]
-    where = f"commit{'s' * (len(commits) > 1)} {', '.join(commits)}"
-    where = where if commits else "an earlier commit"
+    plural = "s" if len(commits) > 1 else ""
+    where = f"commit{plural} {', '.join(commits)}" if commits else "an earlier commit"
     machines: dict[str, list[float]] = {}
     for of in filter(None, (row.get("computer") for row in rows)):
         name = f"{of['processor']}, {of['cores']} cores"
