@@ -29,7 +29,7 @@ from splitband.training.windows import select
 
 STEPS = 2
 """Steps of a round, for the time of a round of L-BFGS."""
-ENOUGH = 10
+ENOUGH = 1.5
 """Fewest samples for each weight. With fewer, the minimum over the training samples may be far from
 the best model, and so near to the start that little else is seen on the way to it."""
 MOST_WEIGHTS = 1000
