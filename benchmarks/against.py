@@ -200,7 +200,8 @@ def complete(
             elif library == JAX_SYSID and not there:
                 keep([*jax_sysids(name, seed, seconds, peer)])
             elif library == SPLITBAND and not (there and all(map(claims.current, there))):
-                about = claims.marked({"commit": environment()["commit"]}, claims.reference())
+                run = {"record": name, "commit": environment()["commit"]}
+                about = claims.marked(run, claims.reference())
                 keep([point | about for point in ours(name, seed, max(seconds))], there)
 
 
