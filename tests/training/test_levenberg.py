@@ -19,7 +19,7 @@ from splitband.models import (
     Task,
 )
 from splitband.runtime.deadlines import NEVER, Deadline
-from splitband.training.levenberg import ENOUGH, Levenberg, Windows
+from splitband.training.levenberg import FEWEST, Levenberg, Windows
 from splitband.training.network import NetworkTraining
 from splitband.training.windows import select, windows, windows_in
 
@@ -143,8 +143,10 @@ def training(
 @pytest.mark.parametrize(
     ("samples", "template", "driven", "trained"),
     [
-        (int(110 * ENOUGH), StateSpace(2, 2), True, True),  # it has 105 weights
-        (int(100 * ENOUGH), StateSpace(2, 2), True, False),
+        (FEWEST, StateSpace(2, 2), True, True),
+        (FEWEST - 1, StateSpace(2, 2), True, False),
+        (800, StateSpace(6, 15), True, False),  # it has 630 weights
+        (1000, StateSpace(6, 15), True, True),
         (4000, StateSpace(2, 2, layers=2), True, False),
         (4000, StateSpace(2, 2), False, False),
     ],

@@ -32,6 +32,8 @@ STEPS = 2
 ENOUGH = 1.5
 """Fewest samples for each weight. With fewer, the minimum over the training samples may be far from
 the best model, and so near to the start that little else is seen on the way to it."""
+FEWEST = 500
+"""Fewest samples to train on, for any number of weights: with fewer, noise is soon fitted."""
 MOST_WEIGHTS = 1000
 """Most weights of a network. Bounds the time and the memory of a step."""
 _FIRST, _MOST = 1e-3, 1e9
@@ -67,9 +69,10 @@ class _OverError(Exception):
 def suits(task: Task, windows: Windows) -> bool:
     """Return whether the task's network has a kernel, and enough samples for its weights."""
     weights = sum(p.numel() for p in task.network.parameters())
-    samples = min(_count(windows), task.target.numel())  # windows may overlap
+    given = task.target.numel()
+    samples = min(_count(windows), given)  # windows may overlap
     few = weights <= min(MOST_WEIGHTS, samples // ENOUGH)
-    return few and _slopes(task, windows) is not None
+    return few and given >= FEWEST and _slopes(task, windows) is not None
 
 
 def _slopes(task: Task, windows: Windows) -> Iterator[Array] | None:
